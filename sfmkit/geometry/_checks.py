@@ -1,0 +1,89 @@
+"""What every function of this package asks of its tensors before it computes with them."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..errors import DegenerateGeometryError, InputError
+
+
+def _traced() -> bool:
+    """Whether values cannot be looked at: inside a torch.func transform or torch.compile."""
+    return torch.compiler.is_compiling() or torch._C._functorch.maybe_current_level() is not None
+
+
+def check_values(**tensors: Tensor | None) -> None:
+    """Raise InputError unless every tensor is finite. Says nothing inside torch.func transforms and torch.compile."""
+    if _traced():
+        return
+    for name, a in tensors.items():
+        if a is not None and not torch.isfinite(a).all():
+            raise InputError(f"{name} holds NaN or infinite values; drop those entries first")
+
+
+def check_kind(**tensors: Tensor | None) -> None:
+    """Raise InputError unless all are float32 or all float64 tensors on one device."""
+    first: tuple[str, Tensor] | None = None
+    for name, a in tensors.items():
+        if a is None:
+            continue
+        if not isinstance(a, Tensor):
+            raise InputError(f"{name} must be a torch tensor, not {type(a).__name__}; torch.as_tensor makes one")
+        if a.dtype not in (torch.float32, torch.float64):
+            raise InputError(f"{name} must be float32 or float64, not {a.dtype}; convert it with .double()")
+        if first is None:
+            first = name, a
+        elif a.dtype != first[1].dtype:
+            raise InputError(f"{name} is {a.dtype} but {first[0]} is {first[1].dtype}; give both the same dtype")
+        elif a.device != first[1].device:
+            raise InputError(f"{name} is on {a.device} but {first[0]} on {first[1].device}; move both to one device")
+
+
+def check_points(minimum: int = 0, weights: Tensor | None = None, *, dim: int = 2, **points: Tensor) -> None:
+    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind, and weights (*B, N) or (N,).
+
+    Raises:
+        InputError: wrong shape, dtype or device, mismatched batches, NaN or infinity, negative weights.
+        DegenerateGeometryError: fewer than `minimum` points.
+    """
+    check_kind(**points, weights=weights)
+    first = next(iter(points))
+    shape = points[first].shape
+    for name, x in points.items():
+        if x.ndim < 2 or x.shape[-1] != dim:
+            raise InputError(f"{name} must have shape (*B, N, {dim}), not {tuple(x.shape)}")
+        if x.shape != shape:
+            raise InputError(f"{name} has shape {tuple(x.shape)} but {first} has {tuple(shape)}; they must be the same")
+    if shape[-2] < minimum:
+        raise DegenerateGeometryError(
+            f"{shape[-2]} points are too few; this needs at least {minimum}", points=shape[-2], needed=minimum
+        )
+    if weights is not None and tuple(weights.shape) not in (tuple(shape[:-1]), (shape[-2],)):
+        raise InputError(f"weights must have shape {tuple(shape[:-1])}, one for each point, not {tuple(weights.shape)}")
+    check_values(**points, weights=weights)
+    if weights is not None and not _traced() and weights.numel() and bool((weights < 0).any()):
+        raise InputError("weights must not be negative")
+
+
+def check_matrices(like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor) -> None:
+    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where given)."""
+    check_kind(**({} if like is None else {"points": like}), **matrices)
+    for name, M in matrices.items():
+        if tuple(M.shape[-len(shape) :]) != shape:
+            raise InputError(f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}")
+    check_values(**matrices)
+
+
+def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
+    """Raise InputError unless all are invertible intrinsics ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
+    check_matrices(like, **cameras)
+    if _traced():
+        return
+    for name, K in cameras.items():
+        if bool(((K[..., 0, 0] * K[..., 1, 1]) == 0).any()) or bool((K[..., 2, 2] != 1).any()):
+            raise InputError(f"{name} is singular or not of the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+        if bool((K[..., 1, 0] != 0).any()) or bool((K[..., 2, :2] != 0).any()):
+            raise InputError(f"{name} must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")

@@ -1,0 +1,236 @@
+"""Points from two calibrated views: ``X2 = R X1 + t``, everything in the frame of camera 1.
+
+What each method minimises, over the point X:
+
+========== ==================================================================================== =====================
+method     objective                                                                            cost per point
+========== ==================================================================================== =====================
+optimal    squared distances in the normalised image planes, ``|xn1 - x1(X)|^2 + |xn2 - x2(X)|^2`` closed form, 2 steps
+midpoint   squared distances in space from X to the two rays                                    closed form
+dlt        algebraic: the norm of ``A X`` over unit homogeneous X, A the four image equations    4 x 4 null vector
+========== ==================================================================================== =====================
+
+For points of the same accuracy in both images `optimal` is the maximum-likelihood point when the two cameras share one
+focal length; the others differ from it in second order of the noise, visibly so at small parallax.
+
+A point at infinity is a regular case: ``homogeneous=True`` returns ``(X, Y, Z, W)`` of unit length whose first three
+components point along the ray of image 1 and whose W is negative for a point behind camera 1; otherwise a point with
+W = 0 comes out as three infinities (never NaN). Float32 input is worked in float64 and rounded once at the end.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ._checks import check_batch, check_matches, check_pose, check_together
+from ._rays import Vector, choose, components, cross, dot, image_ray, rotate, rotated_ray
+
+Method = Literal["optimal", "midpoint", "dlt"]
+
+
+def triangulate(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, method: Method = "optimal", homogeneous: bool = False
+) -> Tensor:
+    """Triangulate with the method named; see the module for what each minimises.
+
+    Args:
+        xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
+        R, t: ``(*B, 3, 3)`` and ``(*B, 3)``, ``X2 = R X1 + t``; the unit of t is the unit of the points.
+        method: ``optimal``, ``midpoint`` or ``dlt``.
+        homogeneous: return unit ``(*B, N, 4)`` instead of ``(*B, N, 3)``.
+
+    Raises:
+        InputError: on shapes, dtypes or devices that do not fit, NaN, or a zero t.
+    """
+    try:
+        chosen = _METHODS[method]
+    except KeyError:
+        known = ", ".join(_METHODS)
+        raise ValueError(f"unknown triangulation method {method!r}; known: {known}") from None
+    return chosen(xn1, xn2, R, t, homogeneous)
+
+
+def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+    """The point with the least squared reprojection error in the normalised planes.
+
+    Moves both image points the least distance onto a common epipolar plane (two iterations, after which the distance to
+    the true minimum is far below rounding in the images), then intersects the rays, which now meet.
+
+    Args and errors as in :func:`triangulate`.
+
+    Source: Lindstrom, Triangulation made easy, CVPR 2010, listing 3 (niter2).
+    """
+    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
+    x1, x2 = corrected_matches(xn1, xn2, R, t)
+    p, q = rotated_ray(R, *x1), image_ray(*x2)
+    c = components(t)
+    # The normal of the epipolar plane, from the ray further from the baseline; with it every depth is a ratio of
+    # volumes, linear in each ray, and stays regular where the rays are parallel.
+    pt, qt = cross(p, c), cross(q, c)
+    further = dot(pt, pt) * dot(q, q) > dot(qt, qt) * dot(p, p)
+    n = choose(further, pt, qt)
+    w = dot(cross(p, q), n)
+    return _finish(x1, q, R, c, dot(qt, n), dot(pt, n), w, homogeneous, dtype)
+
+
+def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+    """The midpoint of the shortest segment between the two rays.
+
+    Args and errors as in :func:`triangulate`.
+
+    Source: Hartley and Sturm, Triangulation, CVIU 1997, section 5.3; depths as ratios of triple products.
+    """
+    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
+    x1, x2 = xn1.unbind(-1), xn2.unbind(-1)
+    p, q = rotated_ray(R, *x1), image_ray(*x2)
+    c = components(t)
+    n = cross(p, q)
+    return _finish(x1, q, R, c, dot(cross(q, c), n), dot(cross(p, c), n), dot(n, n), homogeneous, dtype)
+
+
+def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+    """The unit X that minimises ``|A X|`` for the four linear image equations A.
+
+    The singular vector of the least singular value, without an SVD: each triple of the four planes ``A X = 0`` meets in
+    one point (a row of the adjugate of A, closed form), the four points agree but for the noise, and the dominant
+    direction of their scatter matrix is the answer. Repeated squaring of that 4 x 4 matrix leaves only it, at the
+    precision of the data and with finite derivatives at exact matches, where those of an SVD divide by zero.
+
+    Args and errors as in :func:`triangulate`.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 12.2, equation 12.2 (homogeneous method).
+    """
+    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
+    (x, y), (u, v) = xn1.unbind(-1), xn2.unbind(-1)
+    # Planes of image 2 in camera 1; those of image 1 are (1, 0, -x, 0) and (0, 1, -y, 0).
+    P = [[M[..., i, j, None] for j in range(4)] for M in (torch.cat((R, t[..., None]), -1),) for i in range(3)]
+    c = [P[0][j] - u * P[2][j] for j in range(4)]
+    d = [P[1][j] - v * P[2][j] for j in range(4)]
+    # Where both planes of image 1 meet one of image 2: on the ray of image 1.
+    meet_c = _on_ray(x, y, c)
+    meet_d = _on_ray(x, y, d)
+    # Where both planes of image 2 meet one of image 1: 3 x 3 minors of the two with (1, 0, -x, 0) or (0, 1, -y, 0).
+    m = {(i, j): c[i] * d[j] - c[j] * d[i] for i in range(4) for j in range(i + 1, 4)}
+    meet_x = [x * m[1, 3], -(x * m[0, 3] + m[2, 3]), m[1, 3], x * m[0, 1] - m[1, 2]]
+    meet_y = [y * m[1, 3] + m[2, 3], -y * m[0, 3], -m[0, 3], m[0, 2] + y * m[0, 1]]
+    scatter = _gram([meet_c, meet_d, meet_x, meet_y])
+    for _ in range(5):  # the share of the second direction falls to its 64th power
+        scale = 1 / (scatter[0][0] + scatter[1][1] + scatter[2][2] + scatter[3][3]).clamp_min(_TINY)
+        scatter = _gram([[scale * s for s in row] for row in scatter])
+    column, largest = scatter[0], scatter[0][0]
+    for j in range(1, 4):
+        larger = scatter[j][j] > largest
+        column = [torch.where(larger, a, b) for a, b in zip(scatter[j], column)]
+        largest = torch.where(larger, scatter[j][j], largest)
+    X = torch.stack(column, -1)
+    behind = X[..., 0] * x + X[..., 1] * y + X[..., 2] < 0
+    return _dehomogenise(torch.where(behind[..., None], -X, X), homogeneous, dtype)
+
+
+def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
+    """The angle between the two rays of each match, radians, ``(*B, N)``; accurate down to the rounding of the input.
+
+    Args:
+        xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
+        R: ``(*B, 3, 3)`` rotation from camera 1 to camera 2.
+
+    The arc tangent of |cross product| over dot product: an arc cosine loses half of the digits below 0.01 degrees.
+    The derivative at parallel rays, where the angle has a kink, is zero.
+    """
+    check_matches(xn1, xn2, ("xn1", "xn2"))
+    check_together(xn1=xn1, R=R)
+    dtype = xn1.dtype
+    xn1, xn2, R = xn1.double(), xn2.double(), R.double()
+    p = rotated_ray(R, *xn1.unbind(-1))
+    q = image_ray(*xn2.unbind(-1))
+    n = cross(p, q)
+    squared = dot(n, n)
+    parallel = squared == 0
+    length = torch.where(parallel, 1.0, squared).sqrt()
+    return torch.atan2(torch.where(parallel, 0.0, length), dot(p, q)).to(dtype)
+
+
+def corrected_matches(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor
+) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    """The nearest pair of normalised points that meets the epipolar constraint of (R, t), as components ``(*B, N)``."""
+    E = torch.linalg.cross(t[..., :, None].expand_as(R), R, dim=-2)
+    e = [[E[..., i, j, None] for j in range(3)] for i in range(3)]
+    (x1, y1), (x2, y2) = xn1.unbind(-1), xn2.unbind(-1)
+    # Epipolar lines without their constant; image 1's ("1") from the point of image 2 and the reverse.
+    a1, b1 = e[0][0] * x2 + e[1][0] * y2 + e[2][0], e[0][1] * x2 + e[1][1] * y2 + e[2][1]
+    a2, b2 = e[0][0] * x1 + e[0][1] * y1 + e[0][2], e[1][0] * x1 + e[1][1] * y1 + e[1][2]
+    a = a2 * (e[0][0] * a1 + e[0][1] * b1) + b2 * (e[1][0] * a1 + e[1][1] * b1)
+    b = 0.5 * (a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2)
+    c = x2 * a2 + y2 * b2 + (e[2][0] * x1 + e[2][1] * y1 + e[2][2])
+    # Points on both epipoles (b = 0) stay where they are.
+    d = (b * b - a * c).clamp_min(_TINY).sqrt()
+    step = c / (b + d)
+    n1, m1 = a1 - step * (e[0][0] * a2 + e[1][0] * b2), b1 - step * (e[0][1] * a2 + e[1][1] * b2)
+    n2, m2 = a2 - step * (e[0][0] * a1 + e[0][1] * b1), b2 - step * (e[1][0] * a1 + e[1][1] * b1)
+    step = step * (2 * d / (n1 * n1 + m1 * m1 + n2 * n2 + m2 * m2).clamp_min(_TINY))
+    return (x1 - step * n1, y1 - step * m1), (x2 - step * n2, y2 - step * m2)
+
+
+_TINY = 1e-300
+
+
+def _double(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, torch.dtype]:
+    """The checked arguments in float64, and the dtype to return."""
+    check_matches(xn1, xn2, ("xn1", "xn2"))
+    check_pose(R, t)
+    check_together(xn1=xn1, R=R)
+    check_batch(("xn1", xn1.shape[:-2]), ("xn2", xn2.shape[:-2]), ("R", R.shape[:-2]), ("t", t.shape[:-1]))
+    return xn1.double(), xn2.double(), R.double(), t.double(), xn1.dtype
+
+
+def _finish(
+    x1: tuple[Tensor, ...],
+    q: Vector,
+    R: Tensor,
+    c: Vector,
+    s1: Tensor,
+    s2: Tensor,
+    w: Tensor,
+    homogeneous: bool,
+    dtype: torch.dtype,
+) -> Tensor:
+    """The middle of ``s1/w (x1, 1)`` and ``R^T (s2/w q - t)``, as points of the asked-for kind."""
+    back = rotate(R, (s2 * q[0] - w * c[0], s2 * q[1] - w * c[1], s2 * q[2] - w * c[2]), inverse=True)
+    X = torch.stack((s1 * x1[0] + back[0], s1 * x1[1] + back[1], s1 + back[2], 2 * w), -1)
+    # Both rays on the baseline, or exactly parallel: nothing fixes the depth; the point at infinity on ray 1.
+    lost = (X == 0).all(-1, keepdim=True)
+    ray = torch.stack((x1[0], x1[1], torch.ones_like(x1[0]), torch.zeros_like(x1[0])), -1)
+    return _dehomogenise(torch.where(lost, ray, X), homogeneous, dtype)
+
+
+def _gram(rows: list[list[Tensor]]) -> list[list[Tensor]]:
+    """``A^T A`` of a 4 x 4 matrix given as rows of components; the square of A when A is symmetric."""
+    G: list[list[Tensor]] = [[rows[0][0]] * 4 for _ in range(4)]
+    for i in range(4):
+        for j in range(i, 4):
+            G[i][j] = G[j][i] = (
+                rows[0][i] * rows[0][j] + rows[1][i] * rows[1][j] + rows[2][i] * rows[2][j] + rows[3][i] * rows[3][j]
+            )
+    return G
+
+
+def _on_ray(x: Tensor, y: Tensor, plane: list[Tensor]) -> list[Tensor]:
+    """Where the ray ``(x, y, 1)`` of image 1 meets a plane, homogeneous."""
+    along = plane[0] * x + plane[1] * y + plane[2]
+    depth = -plane[3]
+    return [x * depth, y * depth, depth.expand_as(along), along]
+
+
+def _dehomogenise(X: Tensor, homogeneous: bool, dtype: torch.dtype) -> Tensor:
+    if homogeneous:
+        return (X / X.norm(dim=-1, keepdim=True)).to(dtype)
+    w = X[..., 3:]
+    infinite = w == 0
+    return torch.where(infinite, torch.inf, X[..., :3] / torch.where(infinite, 1.0, w)).to(dtype)
+
+
+_METHODS = {"optimal": triangulate_optimal, "midpoint": triangulate_midpoint, "dlt": triangulate_dlt}
