@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from ._checks import check_batch, check_matches, check_pose, check_tensor, check_together
+from ..errors import InputError
+from ._checks import _traced, check_matrices, check_points
 from ._rays import components, cross, dot, image_ray, rotated_ray
 
 
@@ -30,10 +31,8 @@ def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
 
     Source: Hartley and Zisserman, 2nd ed., section 9.6.3; depths as triple products of the rays.
     """
-    check_matches(xn1, xn2, ("xn1", "xn2"))
-    check_pose(R, t)
-    check_together(xn1=xn1, R=R)
-    check_batch(("xn1", xn1.shape[:-2]), ("xn2", xn2.shape[:-2]), ("R", R.shape[:-2]), ("t", t.shape[:-1]))
+    check_points(xn1=xn1, xn2=xn2)
+    check_pose(R, t, like=xn1)
     p = rotated_ray(R.double(), *xn1.double().unbind(-1))
     q = image_ray(*xn2.double().unbind(-1))
     c = components(t.double())
@@ -62,7 +61,7 @@ def choose_pose(
     if weights is None:
         counts = in_front.sum(-1)
     else:
-        check_tensor("weights", weights, (xn1.shape[-2],))
+        check_points(weights=weights, xn1=xn1)
         counts = torch.where(in_front, weights[..., None, :], 0.0).sum(-1)
     best = counts.argmax(-1)[..., None]
     batch = best.shape[:-1]
@@ -80,8 +79,7 @@ def relative_pose(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tenso
 
 def rotation_error(R1: Tensor, R2: Tensor) -> Tensor:
     """The angle of ``R1^T R2`` in degrees, ``(*B,)``, in [0, 180]; the derivative at equal rotations is zero."""
-    check_tensor("R1", R1, (3, 3))
-    check_tensor("R2", R2, (3, 3))
+    check_matrices(R1=R1, R2=R2)
     D = R1.double().mT @ R2.double()
     axis = torch.stack((D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]), -1)
     cosine = D.diagonal(dim1=-2, dim2=-1).sum(-1) - 1
@@ -94,8 +92,7 @@ def translation_error(t1: Tensor, t2: Tensor, sign_invariant: bool = False) -> T
     Args:
         sign_invariant: take t and -t for the same, in [0, 90] (for what an essential matrix alone can say).
     """
-    check_tensor("t1", t1, (3,))
-    check_tensor("t2", t2, (3,))
+    check_matrices(shape=(3,), t1=t1, t2=t2)
     a, b = torch.broadcast_tensors(t1.double(), t2.double())
     a, b = a / a.norm(dim=-1, keepdim=True), b / b.norm(dim=-1, keepdim=True)
     cosine = (a * b).sum(-1)
@@ -119,6 +116,14 @@ def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
     e = torch.where(failed, torch.inf, errors_deg)[..., None]
     thr = torch.tensor(thresholds, dtype=errors_deg.dtype, device=errors_deg.device)
     return (1 - e / thr).clamp_min(0).mean(-2)
+
+
+def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
+    """Raise InputError unless R is ``(*B, 3, 3)`` and t ``(*B, 3)``, finite, of one kind, and t nowhere zero."""
+    check_matrices(like, R=R)
+    check_matrices(R, shape=(3,), t=t)
+    if not _traced() and bool((t == 0).all(-1).any()):
+        raise InputError("t is zero: without a baseline two views determine no depth")
 
 
 def _length(v: Tensor) -> Tensor:

@@ -25,8 +25,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from ._checks import check_batch, check_matches, check_pose, check_together
+from ._checks import check_matrices, check_points
 from ._rays import Vector, choose, components, cross, dot, image_ray, rotate, rotated_ray
+from .pose import check_pose
 
 Method = Literal["optimal", "midpoint", "dlt"]
 
@@ -140,8 +141,8 @@ def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
     The arc tangent of |cross product| over dot product: an arc cosine loses half of the digits below 0.01 degrees.
     The derivative at parallel rays, where the angle has a kink, is zero.
     """
-    check_matches(xn1, xn2, ("xn1", "xn2"))
-    check_together(xn1=xn1, R=R)
+    check_points(xn1=xn1, xn2=xn2)
+    check_matrices(xn1, R=R)
     dtype = xn1.dtype
     xn1, xn2, R = xn1.double(), xn2.double(), R.double()
     p = rotated_ray(R, *xn1.unbind(-1))
@@ -180,10 +181,8 @@ _TINY = 1e-300
 
 def _double(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, torch.dtype]:
     """The checked arguments in float64, and the dtype to return."""
-    check_matches(xn1, xn2, ("xn1", "xn2"))
-    check_pose(R, t)
-    check_together(xn1=xn1, R=R)
-    check_batch(("xn1", xn1.shape[:-2]), ("xn2", xn2.shape[:-2]), ("R", R.shape[:-2]), ("t", t.shape[:-1]))
+    check_points(xn1=xn1, xn2=xn2)
+    check_pose(R, t, like=xn1)
     return xn1.double(), xn2.double(), R.double(), t.double(), xn1.dtype
 
 
