@@ -1,0 +1,92 @@
+"""From points in space to pixels, and how far those are from what was seen."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ._checks import check_intrinsics, check_matrices, check_points
+from .distortion import distort
+
+
+def project(
+    X: Tensor, K: Tensor, R: Tensor | None = None, t: Tensor | None = None, distortion: Tensor | None = None
+) -> Tensor:
+    """The pixels ``K distort(pi(R X + t))`` of points in space, ``(*B, N, 2)``.
+
+    Points behind the camera project too (through the centre); points in its focal plane come out infinite.
+
+    Args:
+        X: ``(*B, N, 3)`` points, or ``(*B, N, 4)`` homogeneous ones, which may lie at infinity.
+        K: ``(*B, 3, 3)`` intrinsics in pixels.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose of the camera; left out, X is in the camera's own frame.
+        distortion: ``(*B, 5)`` k1, k2, p1, p2, k3.
+
+    Raises:
+        InputError: on shapes, dtypes or devices that do not fit, or NaN.
+
+    Source: Hartley and Zisserman, 2nd ed., equations 6.7 and 7.4 (pinhole); distortion as in :func:`distort`.
+    """
+    if X.ndim < 2 or X.shape[-1] not in (3, 4):
+        raise InputError(f"X must have shape (*B, N, 3) or (*B, N, 4), not {tuple(X.shape)}")
+    check_points(X=X, dim=X.shape[-1])
+    check_intrinsics(X, K=K)
+    Y = X[..., :3]
+    if R is not None:
+        check_matrices(X, R=R)
+        Y = Y @ R.mT
+    if t is not None:
+        check_matrices(X, shape=(3,), t=t)
+        Y = Y + (t[..., None, :] if X.shape[-1] == 3 else t[..., None, :] * X[..., 3:])
+    xn = Y[..., :2] / Y[..., 2:]
+    if distortion is not None:
+        xn = distort(xn, distortion)
+    return xn @ K[..., :2, :2].mT + K[..., None, :2, 2]
+
+
+def reprojection_residuals(
+    X: Tensor,
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    R: Tensor,
+    t: Tensor,
+    d1: Tensor | None = None,
+    d2: Tensor | None = None,
+) -> Tensor:
+    """Projected minus seen, ``(*B, N, 4)`` pixels: x and y in image 1, x and y in image 2.
+
+    Args:
+        X: ``(*B, N, 3)`` points in camera 1 (or homogeneous ``(*B, N, 4)``).
+        x1, x2: ``(*B, N, 2)`` pixels.
+        K1, K2, R, t: cameras and pose, ``X2 = R X1 + t``.
+        d1, d2: ``(*B, 5)`` distortion of each camera; leave out for pixels that were undistorted before.
+
+    Raises:
+        InputError: on shapes, dtypes or devices that do not fit, or NaN.
+    """
+    check_points(x1=x1, x2=x2)
+    return torch.cat((project(X, K1, distortion=d1) - x1, project(X, K2, R, t, d2) - x2), -1)
+
+
+def reprojection_error(
+    X: Tensor,
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    R: Tensor,
+    t: Tensor,
+    d1: Tensor | None = None,
+    d2: Tensor | None = None,
+) -> Tensor:
+    """The root mean square over the two images of the distance between seen and projected, ``(*B, N)`` pixels.
+
+    Arguments and errors as :func:`reprojection_residuals`; the derivative at zero error is zero.
+    """
+    r = reprojection_residuals(X, x1, x2, K1, K2, R, t, d1, d2)
+    square = (r * r).sum(-1) / 2
+    exact = square == 0
+    return torch.where(exact, 0.0, torch.where(exact, 1.0, square).sqrt())
