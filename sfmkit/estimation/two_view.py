@@ -1,0 +1,151 @@
+"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict on what the scene shows."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from ..geometry.coordinates import denormalize, normalize
+from ..geometry.distortion import undistort
+from ..geometry.essential import decompose_essential, essential_from_fundamental, essential_from_pose
+from ..geometry.fundamental import fundamental_from_essential, sampson_distance
+from ..geometry.homography import decompose_homography
+from ..geometry.pose import cheirality, choose_pose
+from ..geometry.refinement import refine_essential
+from ..options import EstimateOptions
+from ..types import Camera, Correspondences, TwoView, Verdict
+from .result import RobustModel
+from .verdict import MIN_MATCHES, judge
+
+# The search for a competing plane: a plane that matters is found in far fewer samples than a full search would take.
+PLANE_ITERATIONS = 2_000
+
+
+def backend(name: str) -> ModuleType:
+    """The module of a back end; all offer estimate_essential, and most estimate_fundamental and estimate_homography."""
+    if name == "torch":
+        from . import robust
+
+        return robust
+    if name == "opencv":
+        from . import opencv
+
+        return opencv
+    from . import peers
+
+    return peers.backend(name)
+
+
+def undistorted_pixels(corr: Correspondences, camera1: Camera, camera2: Camera) -> tuple[Tensor, Tensor]:
+    """(N, 2) pixels in both images as ideal pinholes with the same K would have seen them."""
+    return tuple(_undistorted(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2)))  # type: ignore[return-value]
+
+
+def _undistorted(x: Tensor, camera: Camera) -> Tensor:
+    K, d = camera.tensors()
+    return x if d is None else denormalize(undistort(normalize(x, K), d), K)
+
+
+def estimate_two_view(
+    corr: Correspondences,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimateOptions | None = None,
+    *,
+    seed: int = 0,
+) -> TwoView:
+    """Estimate how camera 2 stands to camera 1, and judge whether the matches can tell.
+
+    Args:
+        corr: N correspondences in pixels of the photographs.
+        options: model, back end and threshold.
+
+    Returns:
+        A :class:`TwoView`. Too few matches, or matches that agree no better than chance, are the verdict
+        ``TOO_LITTLE`` without a pose; a pure rotation has R but no t.
+    """
+    options = options or EstimateOptions()
+    x1, x2 = undistorted_pixels(corr, camera1, camera2)
+    (K1, _), (K2, _) = camera1.tensors(), camera2.tensors()
+    n = len(corr)
+    nothing = torch.zeros(n, dtype=torch.bool)
+
+    def too_little(reason: str, evidence: dict[str, float], **models: Tensor | None) -> TwoView:
+        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, **models)
+
+    if n < MIN_MATCHES:
+        return too_little(
+            f"{n} matches; at least {MIN_MATCHES} are needed, and usually dozens. Try more operators or images that "
+            "overlap more.",
+            {"matches": n},
+        )
+
+    fit = robust_essential(x1, x2, K1, K2, corr, options, seed)
+    if fit.model is None:
+        return too_little("No epipolar geometry was found among the matches.", {"matches": n, "inliers": 0})
+    R, t = pose_of(fit.model, normalize(x1, K1), normalize(x2, K2), fit.inliers)
+    if options.refine:
+        R, t = refine_essential(R, t, x1[fit.inliers], x2[fit.inliers], K1, K2).pose
+    E = essential_from_pose(R, t)
+    # The paper's F keeps its own inliers; an E is judged by the geometry that is reported.
+    F = fundamental_from_essential(E, K1, K2)
+    inliers = fit.inliers
+    if options.model == "essential":
+        inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
+
+    plane = estimate_homography_model(
+        x1, x2, backend_name=options.backend, threshold_px=options.threshold_px, seed=seed, max_iterations=PLANE_ITERATIONS
+    )
+    judgement = judge(x1, x2, K1, K2, F, inliers, plane.model, options.threshold_px, seed)
+    if judgement.verdict is Verdict.TOO_LITTLE:
+        return too_little(judgement.reason, judgement.evidence, E=E, F=F, H=plane.model)
+    if judgement.rotation is not None:
+        return TwoView(
+            camera1, camera2, plane.inliers, judgement.verdict, judgement.reason, judgement.evidence,
+            R=judgement.rotation, H=plane.model,
+        )  # fmt: skip
+    in_front = cheirality(normalize(x1, K1), normalize(x2, K2), R, t)
+    evidence = judgement.evidence | {"share_in_front": float(in_front[inliers].double().mean())}
+    return TwoView(
+        camera1, camera2, inliers & in_front, judgement.verdict, judgement.reason, evidence,
+        R=R, t=t, E=E, F=F, H=plane.model,
+    )  # fmt: skip
+
+
+def robust_essential(
+    x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, corr: Correspondences, options: EstimateOptions, seed: int
+) -> RobustModel:
+    """The essential matrix by the model and back end of the options."""
+    engine = backend(options.backend)
+    settings = {
+        "threshold_px": options.threshold_px,
+        "confidence": options.confidence,
+        "max_iterations": options.max_iterations,
+        "seed": seed,
+    }
+    if options.method is not None:
+        settings["method"] = options.method
+    if options.model == "fundamental":
+        fit = engine.estimate_fundamental(x1, x2, **settings)
+        if fit.model is None:
+            return fit
+        return RobustModel(
+            essential_from_fundamental(fit.model, K1, K2), fit.inliers, fit.score, fit.iterations, fit.history
+        )
+    return engine.estimate_essential(x1, x2, K1, K2, **settings)
+
+
+def pose_of(E: Tensor, xn1: Tensor, xn2: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
+    """(R, t) of the four that E allows that puts most inliers in front of both cameras."""
+    R, t, _ = choose_pose(*decompose_essential(E), xn1[inliers], xn2[inliers])
+    return R, t
+
+
+def estimate_homography_model(
+    x1: Tensor, x2: Tensor, *, backend_name: str = "opencv", threshold_px: float = 1.0, seed: int = 0, max_iterations: int = 10_000
+) -> RobustModel:
+    """The homography ``x2 = H x1`` that most matches agree on (pixels)."""
+    engine = backend(backend_name if backend_name in ("torch", "opencv") else "opencv")
+    return engine.estimate_homography(x1, x2, threshold_px=threshold_px, seed=seed, max_iterations=max_iterations)

@@ -1,0 +1,35 @@
+"""One colour for an operator, the same in plots, recordings and reports, told apart with any kind of colour vision."""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+# Okabe & Ito's palette (2008), made to be told apart with any kind of colour vision, its black and yellow left out:
+# black reads as ink and yellow is lost on white paper. Then Tol's "muted" colours (2021) for the operators beyond.
+_ORANGE, _SKY, _GREEN, _BLUE, _RED, _PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+_NAMED = {
+    "surf": _RED,
+    "orb": _BLUE,
+    "fast-brief": _GREEN,
+    "sift": _PURPLE,
+    "akaze": _ORANGE,
+    "kaze": _SKY,
+    "brisk": "#882255",
+    "rootsift": "#AA4499",
+    "harris-brief": "#999933",
+    "gftt-brief": "#44AA99",
+    "xfeat": "#332288",
+    "multi": "#444444",
+}
+_REST = ("#117733", "#88CCEE", "#DDCC77", "#CC6677", "#661100", "#6699CC")
+
+
+def operator_colour(name: str) -> str:
+    """``#rrggbb`` of an operator; one that has no colour of its own gets one by its name, always the same."""
+    return _NAMED.get(name) or _REST[crc32(name.encode()) % len(_REST)]
+
+
+def operator_rgb(name: str) -> tuple[int, int, int]:
+    """The same as three bytes."""
+    c = operator_colour(name)
+    return int(c[1:3], 16), int(c[3:5], 16), int(c[5:7], 16)

@@ -1,0 +1,135 @@
+"""The verdict on scenes whose answer is known: depth, a plane, a rotation, nothing at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from sfmkit.errors import InputError
+from sfmkit.estimation import estimate_two_view
+from sfmkit.options import EstimateOptions
+from sfmkit.types import Camera, Correspondences, OperatorCounts, Verdict
+
+SIZE = (1200, 900)
+CAMERA = Camera(np.array([[1000.0, 0, 599.5], [0, 1000.0, 449.5], [0, 0, 1]]), SIZE)
+
+
+def rotation(axis, degrees):
+    axis = np.asarray(axis, float) / np.linalg.norm(axis)
+    a = np.radians(degrees)
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
+
+
+def correspondences(x1, x2):
+    n = len(x1)
+    zeros = torch.zeros(n, dtype=torch.int64)
+    return Correspondences(
+        torch.tensor(x1, dtype=torch.float64),
+        torch.tensor(x2, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.float64),
+        torch.full((n,), float("nan"), dtype=torch.float64),
+        zeros, zeros + 1, torch.arange(n), torch.arange(n), ("known",), {"known": OperatorCounts((n, n), n)},
+    )  # fmt: skip
+
+
+def scene(kind, n=600, noise=0.5, outliers=0.3, seed=0):
+    """(correspondences, R, t): pixels of known points with Gaussian noise, and a share of uniformly wrong partners."""
+    rng = np.random.default_rng(seed)
+    R, t = rotation([0.2, 1, 0.1], 8), np.array([-1.0, 0.1, 0.15])
+    pixels = rng.uniform([60, 60], [SIZE[0] - 60, SIZE[1] - 60], (n, 2))
+    rays = np.c_[pixels, np.ones(n)] @ np.linalg.inv(CAMERA.K).T
+    if kind == "plane":
+        normal, distance = np.array([0.2, -0.1, 1.0]), 8.0
+        depth = distance / (rays @ normal)
+    else:
+        depth = rng.uniform(5, 12, n)
+    X2 = (rays * depth[:, None]) @ R.T + (0 * t if kind == "rotation" else t)
+    x2 = X2 @ CAMERA.K.T
+    x2 = x2[:, :2] / x2[:, 2:]
+    x1, x2 = pixels + rng.normal(0, noise, (n, 2)), x2 + rng.normal(0, noise, (n, 2))
+    wrong = rng.random(n) < (1.0 if kind == "nothing" else outliers)
+    x2[wrong] = rng.uniform([0, 0], SIZE, (int(wrong.sum()), 2))
+    return correspondences(x1, x2), R, t / np.linalg.norm(t)
+
+
+def degrees_between(a, b):
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+def rotation_degrees(A, B):
+    D = A.T @ B
+    return np.degrees(np.arctan2(np.linalg.norm([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]), np.trace(D) - 1))
+
+
+OPTIONS = EstimateOptions(threshold_px=1.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depth_is_general_and_the_pose_is_right(seed):
+    corr, R, t = scene("depth", seed=seed)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
+    assert view.verdict is Verdict.GENERAL
+    assert rotation_degrees(view.R.numpy(), R) < 0.15
+    assert degrees_between(view.t.numpy(), t) < 0.8
+    assert view.evidence["share_off_plane"] > 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_plane_is_planar_and_still_has_its_pose(seed):
+    corr, R, t = scene("plane", seed=seed)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
+    assert view.verdict is Verdict.PLANAR
+    # A plane seen twice has two calibrated interpretations; both have the rotation near the truth only for one.
+    assert rotation_degrees(view.R.numpy(), R) < 1.0
+    assert degrees_between(view.t.numpy(), t) < 6.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rotation_has_no_translation_and_no_claim_of_one(seed):
+    corr, R, _ = scene("rotation", seed=seed)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
+    assert view.verdict is Verdict.PURE_ROTATION
+    assert view.t is None
+    assert view.E is None
+    assert rotation_degrees(view.R.numpy(), R) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_wrong_matches_only_are_too_little(seed):
+    corr, _, _ = scene("nothing", seed=seed, n=800)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
+    assert view.verdict is Verdict.TOO_LITTLE
+    assert view.R is None
+    assert not view.inliers.any()
+
+
+def test_seven_matches_are_too_few_to_try():
+    corr, _, _ = scene("depth", n=7, outliers=0)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS)
+    assert view.verdict is Verdict.TOO_LITTLE
+    assert "7 matches" in view.reason
+
+
+def test_two_cameras_of_different_focal_length():
+    corr, R, t = scene("depth", outliers=0.2)
+    other = CAMERA.scaled((600, 450))
+    half = correspondences(corr.x1.numpy(), (corr.x2.numpy() + 0.5) / 2 - 0.5)
+    view = estimate_two_view(half, CAMERA, other, EstimateOptions(threshold_px=1.0))
+    assert view.verdict is Verdict.GENERAL
+    assert rotation_degrees(view.R.numpy(), R) < 0.2
+    assert degrees_between(view.t.numpy(), t) < 1.0
+
+
+def test_the_fundamental_path_gives_a_pose_too():
+    corr, R, _ = scene("depth", noise=0.2, outliers=0.2)
+    options = EstimateOptions(model="fundamental", method="ransac", threshold_px=1.5, refine=False)
+    view = estimate_two_view(corr, CAMERA, CAMERA, options)
+    assert view.verdict is Verdict.GENERAL
+    assert rotation_degrees(view.R.numpy(), R) < 2
+
+
+def test_thresholds_must_be_positive():
+    with pytest.raises(InputError, match="threshold_px"):
+        EstimateOptions(threshold_px=0)
