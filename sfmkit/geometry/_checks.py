@@ -88,3 +88,17 @@ def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
             raise InputError(f"{name} is singular or not of the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
         if bool((K[..., 1, 0] != 0).any()) or bool((K[..., 2, :2] != 0).any()):
             raise InputError(f"{name} must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+
+
+def check_determined(gap: Tensor, dtype: torch.dtype, model: str, hint: str) -> None:
+    """Raise DegenerateGeometryError when a linear system leaves more than one solution in every member of a batch.
+
+    Args:
+        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as smallest_singular_vector gives it.
+        dtype: of the points: their rounding alone makes a gap of about its epsilon squared.
+    """
+    if _traced() or gap.numel() == 0:
+        return
+    noise = max(1e-14, (30 * torch.finfo(dtype).eps) ** 2)
+    if bool((gap < noise).all()):
+        raise DegenerateGeometryError(f"the points do not determine {model}: {hint}")
