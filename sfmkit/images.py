@@ -150,7 +150,7 @@ def _read_file(path: Path) -> Image:
         if isinstance(error, ImageError):
             raise
         if "truncated" in str(error).lower() or isinstance(error, EOFError):
-            raise ImageError(f"{path} is cut off: the file ends before the picture does; fetch it again") from error
+            raise ImageError(f"{path} is truncated: it ends before the picture does; fetch it again") from error
         raise ImageError(f"{path} cannot be decoded ({error}): it is damaged or of an unsupported kind") from error
     if exif is not None:
         pixels = _upright(pixels, exif.orientation)
@@ -166,7 +166,7 @@ def _read_bytes(path: Path) -> bytes:
     except IsADirectoryError:
         inside = sorted(p.name for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
         hint = f"; name one of its {len(inside)} images, e.g. {path / inside[0]}" if inside else " without images"
-        raise ImageError(f"{path} is a folder{hint}") from None
+        raise ImageError(f"{path} is a directory{hint}") from None
     except (OSError, ValueError) as error:  # no permission; a name with a NUL byte; a path below a file
         raise ImageError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if not data:

@@ -132,11 +132,11 @@ def test_extreme_shapes_are_read(tmp_path, size):
 
 def test_pictures_beyond_pillows_own_limit_are_read_without_a_warning(tmp_path):
     path = tmp_path / "large.png"
-    PIL.Image.new("1", (19_000, 9_500)).save(path)
+    PIL.Image.new("1", (10_000, 9_000)).save(path)
     before = PIL.Image.MAX_IMAGE_PIXELS
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert read_image(path).size_wh == (19_000, 9_500)
+        assert read_image(path).size_wh == (10_000, 9_000)
     assert before == PIL.Image.MAX_IMAGE_PIXELS
 
 
@@ -173,10 +173,10 @@ def test_missing_file_suggests_near_names(tmp_path, rgb):
 
 
 def test_folder(tmp_path, rgb):
-    with pytest.raises(ImageError, match="is a folder without images"):
+    with pytest.raises(ImageError, match="is a directory without images"):
         read_image(tmp_path)
     _save(tmp_path / "a.png", rgb)
-    with pytest.raises(ImageError, match=r"is a folder; name one of its 1 images, e.g. .*a\.png"):
+    with pytest.raises(ImageError, match=r"is a directory; name one of its 1 images, e.g. .*a\.png"):
         read_image(tmp_path)
 
 
@@ -196,7 +196,7 @@ def test_cut_off_files(tmp_path, rgb, suffix, options, keep):
     if suffix == "png" and keep < 0:
         pytest.skip("the last byte of a PNG is a checksum of an empty chunk: no pixel is missing")
     (tmp_path / f"a.{suffix}").write_bytes(data[:cut])
-    with pytest.raises(ImageError, match=r"cut off|cannot be decoded"):
+    with pytest.raises(ImageError, match=r"truncated|cannot be decoded"):
         read_image(tmp_path / f"a.{suffix}")
 
 
