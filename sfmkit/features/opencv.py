@@ -1,0 +1,203 @@
+"""OpenCV's detectors and descriptors behind arrays; nothing outside this file sees a ``cv2.KeyPoint``.
+
+Every call makes its own ``cv2.Feature2D``, so that threads can run side by side (OpenCV releases the GIL).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..errors import InputError, OperatorError
+from .tables import DESCRIPTORS, DETECTORS
+
+_ORB_LEVEL_RATIO = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Keypoints of one image as arrays.
+
+    Attributes:
+        xy: (N, 2) float32 pixels.
+        sizes: (N,) float32 diameters as OpenCV's detector means them, pixels.
+        angles: (N,) float32 degrees, clockwise on screen; -1 for none.
+        scores: (N,) float32.
+        octaves: (N,) int64 pyramid level, as coded by the detector.
+    """
+
+    xy: np.ndarray
+    sizes: np.ndarray
+    angles: np.ndarray
+    scores: np.ndarray
+    octaves: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def take(self, index: np.ndarray) -> Keypoints:
+        """The keypoints at `index`, in that order."""
+        return Keypoints(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def _from_cv(keypoints: tuple[cv2.KeyPoint, ...]) -> Keypoints:
+    n = len(keypoints)
+    xy = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32).reshape(n, 2)
+    sizes, angles, scores = (
+        np.fromiter(map(attrgetter(name), keypoints), np.float32, n) for name in ("size", "angle", "response")
+    )
+    return Keypoints(xy, sizes, angles, scores, np.fromiter(map(attrgetter("octave"), keypoints), np.int64, n))
+
+
+def _to_cv(kp: Keypoints) -> list[cv2.KeyPoint]:
+    """With the row as `class_id`, so that a keypoint that OpenCV drops can be told."""
+    columns = (kp.xy[:, 0], kp.xy[:, 1], kp.sizes, kp.angles, kp.scores, kp.octaves, np.arange(len(kp)))
+    return list(map(cv2.KeyPoint, *(column.tolist() for column in columns)))
+
+
+def has(create: str) -> bool:
+    """Whether this build of OpenCV has the factory, e.g. ``xfeatures2d.FREAK_create``."""
+    try:
+        attrgetter(create)(cv2)
+    except AttributeError:
+        return False
+    return True
+
+
+def _create(what: str, create: str, options: dict[str, Any]) -> cv2.Feature2D:
+    try:
+        return attrgetter(create)(cv2)(**options)
+    except (cv2.error, TypeError, OverflowError) as error:
+        raise InputError(f"OpenCV does not accept these options of {what}: {options} ({_reason(error)})") from error
+
+
+def _reason(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[-1].strip() if lines else type(error).__name__
+
+
+def _run(what: str, grey: np.ndarray, function: Any, *args: Any) -> Any:
+    try:
+        return function(grey, *args)
+    except (cv2.error, MemoryError) as error:
+        h, w = grey.shape
+        raise OperatorError(
+            f"OpenCV could not run {what} on this {w} x {h} image ({_reason(error)}); "
+            "try other options, or max_size to search a smaller image"
+        ) from error
+
+
+def _detector(name: str, options: dict[str, Any]) -> cv2.Feature2D:
+    if name == "harris":
+        options = {**options, "useHarrisDetector": True}
+    create = DETECTORS[name].create
+    assert create is not None
+    return _create(name, create, options)
+
+
+def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
+    """Keypoints of one of :data:`~sfmkit.features.tables.DETECTORS`, in OpenCV's order.
+
+    Args:
+        grey: (H, W) uint8.
+        name: the detector.
+        options: its options, under OpenCV's names.
+
+    Raises:
+        InputError: options that OpenCV does not accept.
+        OperatorError: OpenCV fails on this image.
+    """
+    if min(grey.shape) < DETECTORS[name].min_side:
+        return _from_cv(())
+    return _from_cv(_run(name, grey, _detector(name, options).detect))
+
+
+def detect_and_describe(grey: np.ndarray, name: str, options: dict[str, Any]) -> tuple[Keypoints, np.ndarray]:
+    """Keypoints and descriptors of an operator that has both (SIFT, ORB, AKAZE, KAZE, BRISK) in one pass.
+
+    Arguments and errors as in :func:`detect`. The descriptors of an image without keypoints have shape (0, width).
+    """
+    feature = _detector(name, options)
+    if min(grey.shape) < DETECTORS[name].min_side:
+        return _from_cv(()), _empty(feature)
+    keypoints, descriptors = _run(name, grey, feature.detectAndCompute, None)
+    return _from_cv(keypoints), _empty(feature) if descriptors is None else descriptors
+
+
+def describe(
+    grey: np.ndarray, kp: Keypoints, detector: str, name: str, options: dict[str, Any]
+) -> tuple[Keypoints, np.ndarray]:
+    """Descriptors at the keypoints of any detector.
+
+    Args:
+        grey: (H, W) uint8.
+        kp: the keypoints.
+        detector: where they come from; its sizes are turned into FAST's (see ``DetectorSpec.fast_size``).
+        name: one of :data:`~sfmkit.features.tables.DESCRIPTORS`.
+        options: its options, under OpenCV's names.
+
+    Returns:
+        The keypoints that have a descriptor (OpenCV drops those whose patch leaves the image), in the given order,
+        with the orientation that was used; and (M, D) descriptors.
+    """
+    spec = DESCRIPTORS[name]
+    assert spec.create is not None
+    if name == "brisk":
+        feature = _create(name, spec.create, {"thresh": 30, "octaves": 3, **options})
+    else:
+        feature = _create(name, spec.create, options)
+    if not len(kp):
+        return kp, _empty(feature)
+    sizes = kp.sizes * np.float32(DETECTORS[detector].fast_size)
+    octaves = np.zeros_like(kp.octaves)
+    if name == "orb":  # which takes the patch from the pyramid level, not from the size
+        octaves = np.clip(np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO)), 0, 7).astype(np.int64)
+    # BRISK looks for an orientation only where there is none; all others would turn the patch by -1 degree.
+    angles = kp.angles if name == "brisk" else np.maximum(kp.angles, 0)
+    given = replace(kp, sizes=sizes, octaves=octaves, angles=angles)
+    described, descriptors = _run(f"{detector}+{name}", grey, feature.compute, _to_cv(given))
+    if descriptors is None or not len(described):
+        return kp.take(np.arange(0)), _empty(feature)
+    row = np.fromiter(map(attrgetter("class_id"), described), np.int64, len(described))
+    order = np.argsort(row, kind="stable")
+    kept = kp.take(row[order])
+    if spec.orients:
+        kept = replace(kept, angles=_from_cv(described).angles[order])
+    return kept, descriptors[order]
+
+
+def _empty(feature: cv2.Feature2D) -> np.ndarray:
+    kind = np.float32 if feature.descriptorType() == cv2.CV_32F else np.uint8
+    return np.zeros((0, feature.descriptorSize()), dtype=kind)
+
+
+def centroid_angles(grey: np.ndarray, xy: np.ndarray, radius: int = 15) -> np.ndarray:
+    """Orientation by the intensity centroid: the direction from a corner to the centroid of the disc around it.
+
+    (Rosin 1999; Rublee et al. 2011, eqs. 1-3.) It makes an upright corner detector follow a rotated image.
+
+    Args:
+        grey: (H, W) uint8.
+        xy: (N, 2) pixels inside the image.
+        radius: of the disc, pixels.
+
+    Returns:
+        (N,) float32 degrees in [0, 360), clockwise on screen.
+    """
+    side = 2 * radius + 1
+    offset = np.arange(-radius, radius + 1, dtype=np.float32)
+    disc = (offset[:, None] ** 2 + offset**2 <= radius**2).astype(np.float32)
+    moments = np.stack([disc * offset, disc * offset[:, None]], axis=-1).reshape(side * side, 2)
+    padded = cv2.copyMakeBorder(grey, radius, radius, radius, radius, cv2.BORDER_REFLECT_101)
+    patches = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
+    x, y = np.rint(xy).astype(np.int64).T
+    angles = np.empty(len(xy), dtype=np.float32)
+    for block in range(0, len(xy), 4096):
+        rows = slice(block, block + 4096)
+        m10, m01 = (patches[y[rows], x[rows]].reshape(-1, side * side).astype(np.float32) @ moments).T
+        angles[rows] = np.rad2deg(np.arctan2(m01, m10)) % 360
+    return angles

@@ -1,0 +1,129 @@
+"""Corners to a fraction of a pixel: the top of a parabola through the detector's own response.
+
+Any other response (say, Harris around FAST corners) has its maximum elsewhere and makes positions worse, as
+``cv2.cornerSubPix`` does; see docs/benchmarks.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+
+# The centre, its left and right, its upper and lower neighbour: all that two parabolas need.
+_CROSS_X = np.array([0, -1, 1, 0, 0])
+_CROSS_Y = np.array([0, 0, 0, -1, 1])
+
+# Bresenham circle of radius 3, in order (Rosten & Drummond 2006, fig. 1).
+_CIRCLE_X = np.array([0, 1, 2, 3, 3, 3, 2, 1, 0, -1, -2, -3, -3, -3, -2, -1])
+_CIRCLE_Y = np.array([3, 3, 2, 1, 0, -1, -2, -3, -3, -3, -2, -1, 0, 1, 2, 3])
+_ARC = 9
+
+Response = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """FAST-9 score at whole pixels at least 3 pixels inside the image.
+
+    The largest threshold at which 9 neighbouring pixels of the circle are all brighter, or all darker, than the centre
+    by more than it (Rosten & Drummond 2006); ``cv2.FastFeatureDetector`` reports this number less 1.
+
+    Args:
+        grey: (H, W) uint8.
+        x, y: integer arrays of one shape.
+
+    Returns:
+        int16 array of that shape; not positive where the pixel is no corner at any threshold.
+    """
+    flat, at = grey.reshape(-1), y * grey.shape[1] + x
+    centre = flat[at].astype(np.int16)
+    ring = np.stack([flat[at + (dy * grey.shape[1] + dx)] for dx, dy in zip(_CIRCLE_X, _CIRCLE_Y)]) - centre
+    return np.maximum(_best_arc(ring), _best_arc(-ring))
+
+
+def _best_arc(ring: np.ndarray) -> np.ndarray:
+    """Over all arcs of 9 of the 16 values along axis 0, the largest of their minima."""
+    ring = np.concatenate([ring, ring[: _ARC - 1]])
+    two = np.minimum(ring[:-1], ring[1:])
+    four = np.minimum(two[:-2], two[2:])
+    eight = np.minimum(four[:-4], four[4:])
+    return np.minimum(eight[:-1], ring[_ARC - 1 :]).max(axis=0)
+
+
+def parabola_top(before: np.ndarray, centre: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Offset in [-½, ½] of the maximum of the parabola through values at -1, 0, 1; 0 where there is no maximum."""
+    curvature = before - 2.0 * centre + after
+    top = np.zeros_like(curvature)
+    np.divide(before - after, 2.0 * curvature, out=top, where=curvature < 0)
+    return np.clip(top, -0.5, 0.5)
+
+
+def refine(grey: np.ndarray, xy: np.ndarray, detector: str, options: dict[str, Any], octave: np.ndarray) -> np.ndarray:
+    """Positions of whole-pixel corners to a fraction of a pixel.
+
+    Args:
+        grey: (H, W) uint8, the image they were found in.
+        xy: (N, 2) positions as OpenCV gave them.
+        detector: ``fast``, ``agast``, ``orb``, ``gftt`` or ``harris``.
+        options: the detector's.
+        octave: (N,) pyramid level of each (ORB; elsewhere unused).
+
+    Returns:
+        (N, 2) float64. ORB's are also mapped back through the true sizes of the pyramid's levels, between pixel
+        centres: OpenCV multiplies level coordinates by the nominal scale, which is up to 2 pixels off.
+    """
+    if detector == "orb":
+        return _refine_pyramid(grey, xy, octave, options)
+    response: Response = fast_score
+    if detector in ("gftt", "harris"):
+        block = options["blockSize"]
+        if detector == "harris":
+            field = cv2.cornerHarris(grey, block, 3, options["k"])
+        else:
+            field = cv2.cornerMinEigenVal(grey, block, ksize=3)
+
+        def response(_: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return field[y, x]
+
+    return xy + _offset(grey, xy, response)
+
+
+def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 4) -> np.ndarray:
+    """(N, 2) offsets to the response's maximum; zero within `margin` pixels of the border."""
+    h, w = grey.shape
+    offset = np.zeros((len(xy), 2))
+    cell = np.rint(xy).astype(np.int64)
+    inside = np.flatnonzero(((cell >= margin) & (cell < (w - margin, h - margin))).all(axis=1))
+    if len(inside):
+        x, y = cell[inside].T
+        r = response(grey, x + _CROSS_X[:, None], y + _CROSS_Y[:, None]).astype(np.float64)
+        offset[inside, 0] = parabola_top(r[1], r[0], r[2])
+        offset[inside, 1] = parabola_top(r[3], r[0], r[4])
+    return offset
+
+
+def _pyramid(grey: np.ndarray, scale_factor: float, levels: int) -> Iterator[tuple[int, float, np.ndarray]]:
+    """Level, nominal scale and image of ORB's pyramid, each resized from the one before."""
+    h, w = grey.shape
+    for level in range(levels):
+        scale = scale_factor**level
+        size = (round(w / scale), round(h / scale))
+        if min(size) < 1:
+            return
+        if level:
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR_EXACT)
+        yield level, scale, grey
+
+
+def _refine_pyramid(grey: np.ndarray, xy: np.ndarray, octave: np.ndarray, options: dict[str, Any]) -> np.ndarray:
+    refined = xy.astype(np.float64)
+    full = np.array(grey.shape[::-1], dtype=np.float64)
+    for level, scale, image in _pyramid(grey, options["scaleFactor"], options["nlevels"]):
+        at = np.flatnonzero(octave == level)
+        if len(at):
+            xy_level = refined[at] / scale
+            xy_level += _offset(image, xy_level, fast_score)
+            refined[at] = (xy_level + 0.5) * full / image.shape[::-1] - 0.5
+    return refined

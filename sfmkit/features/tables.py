@@ -1,0 +1,309 @@
+"""What the operators are: literal tables of detectors, descriptors and named pairs of the two.
+
+An operator is a detector (where?) with a descriptor (what does it look like?). :data:`OPERATORS` names the usual
+pairs; any other ``detector+descriptor`` is put together by :func:`operator_spec` from :data:`DETECTORS` and
+:data:`DESCRIPTORS`. Options of OpenCV's operators keep OpenCV's names, so that its manual applies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import OperatorError
+from ..types import Norm
+
+Options = Mapping[str, Any]
+
+OPENCV = "Apache-2.0 (OpenCV); no patent known to its authors"
+SIFT_PATENT = "Apache-2.0 (OpenCV); US 6,711,293 expired in March 2020"
+SURF_PATENT = (
+    "Apache-2.0 (our code); patents US 8,165,401, US 8,670,619, EP 2 027 558 (priority April 2006): "
+    "check your jurisdiction"
+)
+
+
+@dataclass(frozen=True)
+class DetectorSpec:
+    """A keypoint detector.
+
+    Attributes:
+        create: its factory below ``cv2``; None for one of our own.
+        options: its options with our defaults.
+        fast_size: a keypoint's size times this is the diameter that FAST would give (7 pixels for a corner at full
+            resolution). OpenCV's detectors mean different things by `size`; its descriptors are made for FAST's.
+        integer: positions are whole pixels, refined when `subpixel` is on.
+        oriented: gives keypoints an orientation.
+        min_side: images with a shorter side than this hold no keypoint (OpenCV fails or crashes on them).
+        licence: of the implementation, and patents.
+    """
+
+    create: str | None
+    options: Options = field(default_factory=dict)
+    fast_size: float = 1.0
+    integer: bool = False
+    oriented: bool = False
+    min_side: int = 3
+    licence: str = OPENCV
+
+
+@dataclass(frozen=True)
+class DescriptorSpec:
+    """A keypoint descriptor.
+
+    Attributes:
+        create: its factory below ``cv2``; None for one of our own.
+        norm: how two descriptors are compared.
+        width: length in floats (norm l2) or bits (norm hamming), at default options.
+        options: its options with our defaults.
+        orients: finds the orientation itself, whatever the detector said.
+        rotates_by: the option that makes it follow the keypoint's orientation; None when it always does.
+        only_with: the only detector whose keypoints it can describe; None for any.
+        why: the reason for `only_with`.
+        licence: of the implementation, and patents.
+    """
+
+    create: str | None
+    norm: Norm
+    width: int
+    options: Options = field(default_factory=dict)
+    orients: bool = False
+    rotates_by: str | None = None
+    only_with: str | None = None
+    why: str = ""
+    licence: str = OPENCV
+
+
+@dataclass(frozen=True)
+class OperatorSpec:
+    """A detector with a descriptor.
+
+    Attributes:
+        name: as in ``detect(image, name)``.
+        detector, descriptor: rows of :data:`DETECTORS` and :data:`DESCRIPTORS`.
+        norm: ``l2`` or ``hamming``.
+        width: descriptor length in floats or bits, at default options.
+        options: every option with our default.
+        paper: what replaces the defaults in the preset ``paper``.
+        licence: of the implementation, and patents (facts only).
+        requires: the extra that has to be installed; None for none.
+        summary: one line.
+    """
+
+    name: str
+    detector: str
+    descriptor: str
+    norm: Norm
+    width: int
+    options: Options = field(default_factory=dict)
+    paper: Options = field(default_factory=dict)
+    licence: str = OPENCV
+    requires: str | None = None
+    summary: str = ""
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether detector and descriptor are two operators, run one after the other."""
+        return self.detector != self.descriptor.removeprefix("root")
+
+
+_SIFT: Options = {
+    "nfeatures": 0,
+    "nOctaveLayers": 3,
+    "contrastThreshold": 0.01,  # OpenCV's 0.04 finds 3.8 thousand keypoints in a 6-megapixel photograph
+    "edgeThreshold": 10.0,
+    "sigma": 1.6,
+    "enable_precise_upscale": True,  # without it every keypoint is a quarter of a pixel off
+}
+_GFTT: Options = {"maxCorners": 10_000, "qualityLevel": 1e-3, "minDistance": 3.0, "blockSize": 3}
+
+DETECTORS: Mapping[str, DetectorSpec] = {
+    "surf": DetectorSpec(
+        None,
+        {"hessian_threshold": 30.0, "octaves": 4, "layers": 3, "extended": False, "upright": False},
+        fast_size=1.25,
+        oriented=True,
+        licence=SURF_PATENT,
+    ),
+    "orb": DetectorSpec(
+        "ORB_create",
+        {
+            "nfeatures": 35_000,
+            "scaleFactor": 1.2,
+            "nlevels": 8,
+            "edgeThreshold": 31,
+            "patchSize": 31,
+            "fastThreshold": 7,
+        },
+        fast_size=7 / 31,
+        integer=True,
+        oriented=True,
+    ),
+    "fast": DetectorSpec("FastFeatureDetector_create", {"threshold": 10}, integer=True),
+    "agast": DetectorSpec("xfeatures2d.AgastFeatureDetector_create", {"threshold": 10}, integer=True),
+    "harris": DetectorSpec(
+        "GFTTDetector_create",
+        {**_GFTT, "qualityLevel": 1e-4, "k": 0.04},  # a response of fourth order in the gradient, hence the square
+        fast_size=7 / 3,
+        integer=True,
+    ),
+    "gftt": DetectorSpec("GFTTDetector_create", _GFTT, fast_size=7 / 3, integer=True),
+    "sift": DetectorSpec("SIFT_create", _SIFT, fast_size=1.35, oriented=True, licence=SIFT_PATENT),
+    "akaze": DetectorSpec(
+        "xfeatures2d.AKAZE_create", {"threshold": 1e-4, "nOctaves": 4, "nOctaveLayers": 4}, oriented=True
+    ),
+    "kaze": DetectorSpec(
+        "xfeatures2d.KAZE_create",
+        {"threshold": 1e-4, "nOctaves": 4, "nOctaveLayers": 4, "extended": False, "upright": False},
+        fast_size=1.25,
+        oriented=True,
+    ),
+    "brisk": DetectorSpec(
+        "xfeatures2d.BRISK_create", {"thresh": 30, "octaves": 3, "patternScale": 1.0}, oriented=True, min_side=8
+    ),
+    "star": DetectorSpec(
+        "xfeatures2d.StarDetector_create",
+        {
+            "maxSize": 45,
+            "responseThreshold": 10,
+            "lineThresholdProjected": 10,
+            "lineThresholdBinarized": 8,
+            "suppressNonmaxSize": 5,
+        },
+        min_side=8,
+    ),
+    "mser": DetectorSpec(
+        "MSER_create", {"delta": 5, "min_area": 60, "max_area": 14_400, "max_variation": 0.25, "min_diversity": 0.2}
+    ),
+    "xfeat": DetectorSpec(None, {"top_k": 4096, "detection_threshold": 0.05}, licence="Apache-2.0 (code and weights)"),
+}
+
+_LEVELS = "it reads scale levels that only its own detector computes"
+
+DESCRIPTORS: Mapping[str, DescriptorSpec] = {
+    "surf": DescriptorSpec(None, "l2", 64, {"extended": False, "upright": False}, orients=True, licence=SURF_PATENT),
+    "orb": DescriptorSpec("ORB_create", "hamming", 256),
+    "brief": DescriptorSpec(
+        "xfeatures2d.BriefDescriptorExtractor_create",
+        "hamming",
+        256,
+        {"bytes": 32, "use_orientation": False},
+        rotates_by="use_orientation",
+    ),
+    "sift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
+    "rootsift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
+    "brisk": DescriptorSpec("xfeatures2d.BRISK_create", "hamming", 512, {"patternScale": 1.0}, orients=True),
+    "freak": DescriptorSpec(
+        "xfeatures2d.FREAK_create",
+        "hamming",
+        512,
+        {"orientationNormalized": True, "scaleNormalized": True, "patternScale": 22.0, "nOctaves": 4},
+        orients=True,
+    ),
+    "latch": DescriptorSpec(
+        "xfeatures2d.LATCH_create",
+        "hamming",
+        256,
+        {"bytes": 32, "rotationInvariance": True, "half_ssd_size": 3, "sigma": 2.0},
+    ),
+    # Patch sides are multiples of the size that FAST gives; see DetectorSpec.fast_size.
+    "beblid": DescriptorSpec("xfeatures2d.BEBLID_create", "hamming", 512, {"scale_factor": 5.0}),
+    "teblid": DescriptorSpec("xfeatures2d.TEBLID_create", "hamming", 256, {"scale_factor": 5.0}),
+    "boost": DescriptorSpec("xfeatures2d.BoostDesc_create", "hamming", 256, {"scale_factor": 5.0}),
+    "daisy": DescriptorSpec(
+        "xfeatures2d.DAISY_create",
+        "l2",
+        200,
+        {"radius": 15.0, "q_radius": 3, "q_theta": 8, "q_hist": 8, "use_orientation": False},
+        rotates_by="use_orientation",
+    ),
+    "vgg": DescriptorSpec("xfeatures2d.VGG_create", "l2", 120, {"isigma": 1.4, "scale_factor": 5.0}),
+    "akaze": DescriptorSpec("xfeatures2d.AKAZE_create", "hamming", 488, only_with="akaze", why=_LEVELS),
+    "kaze": DescriptorSpec("xfeatures2d.KAZE_create", "l2", 64, only_with="kaze", why=_LEVELS),
+    "xfeat": DescriptorSpec(None, "l2", 64, only_with="xfeat", why="one network finds and describes"),
+}
+
+# Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an answer.
+LEFT_OUT: Mapping[str, str] = {
+    "lucid": "it needs a colour image, and ranks bytes, which neither norm compares",
+    "msd": "OpenCV's implementation crashes on small images",
+    "harris-laplace": "OpenCV's implementation is half a pixel off",
+    "tbmr": "OpenCV's implementation gives no response to rank by, and orientations in other units",
+}
+
+
+def _pair(detector: str, descriptor: str, name: str, summary: str, requires: str | None = None) -> OperatorSpec:
+    """An operator from its two rows; a name that both use is the detector's option."""
+    where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
+    native = descriptor.removeprefix("root") == detector
+    options = dict(where.options) if native else {**what.options, **where.options}
+    paper = {}
+    if where.integer:
+        options["subpixel"], paper["subpixel"] = True, False
+    if not (where.oriented or what.orients or native):
+        options["oriented"] = False
+    licences = dict.fromkeys((where.licence, what.licence))
+    if len(licences) > 1:
+        licences.pop(OPENCV, None)
+    return OperatorSpec(
+        name, detector, descriptor, what.norm, what.width, options, paper, "; ".join(licences), requires, summary
+    )  # fmt: skip
+
+
+OPERATORS: Mapping[str, OperatorSpec] = {
+    spec.name: spec
+    for spec in (
+        _pair("surf", "surf", "surf", "blobs of the determinant of the Hessian, box filters (Bay et al. 2008)"),
+        _pair(
+            "orb", "orb", "orb", "oriented FAST corners on a pyramid, rotated BRIEF (Rublee et al. 2011)"
+        ),
+        _pair(
+            "fast", "brief", "fast-brief", "FAST corners (Rosten & Drummond 2006), BRIEF bits (Calonder et al. 2010)"
+        ),
+        _pair("sift", "sift", "sift", "blobs of the difference of Gaussians, gradient histograms (Lowe 2004)"),
+        _pair("sift", "rootsift", "rootsift", "SIFT compared by the Hellinger kernel (Arandjelovic & Zisserman 2012)"),
+        _pair("akaze", "akaze", "akaze", "blobs of a fast non-linear scale space, bits (Alcantarilla et al. 2013)"),
+        _pair("kaze", "kaze", "kaze", "blobs of a non-linear scale space (Alcantarilla et al. 2012)"),
+        _pair("brisk", "brisk", "brisk", "AGAST corners in scale space, ring pattern bits (Leutenegger et al. 2011)"),
+        _pair("harris", "brief", "harris-brief", "Harris corners (Harris & Stephens 1988), BRIEF bits"),
+        _pair("gftt", "brief", "gftt-brief", "corners of the smaller eigenvalue (Shi & Tomasi 1994), BRIEF bits"),
+        _pair(
+            "xfeat", "xfeat", "xfeat", "learned keypoints and descriptors (Potje et al. 2024)", requires="learned"
+        ),
+    )
+}  # fmt: skip
+
+
+def operator_spec(name: str) -> OperatorSpec:
+    """The named operator, or the pair that ``detector+descriptor`` asks for.
+
+    Raises:
+        OperatorError: unknown name (the nearest known one is suggested), or a pair that does not fit together.
+    """
+    name = str(name).strip().lower()
+    if name in OPERATORS:
+        return OPERATORS[name]
+    detector, plus, descriptor = (part.strip() for part in name.partition("+"))
+    if not plus:
+        if name in LEFT_OUT:
+            raise OperatorError(f"operator '{name}' is left out: {LEFT_OUT[name]}")
+        if name in DETECTORS or name in DESCRIPTORS:
+            example = f"{name}+brief" if name in DETECTORS else f"fast+{name}"
+            kind = "detector" if name in DETECTORS else "descriptor"
+            raise OperatorError(f"'{name}' is a {kind} only; pair it as detector+descriptor, e.g. '{example}'")
+        raise OperatorError.unknown(name, OPERATORS)
+    for part, kind, table in ((detector, "detector", DETECTORS), (descriptor, "descriptor", DESCRIPTORS)):
+        if part in LEFT_OUT:
+            raise OperatorError(f"'{part}' is left out: {LEFT_OUT[part]}")
+        if part not in table:
+            raise OperatorError(f"unknown {kind} '{part}' in '{name}'. Known: {', '.join(sorted(table))}")
+    only, why = DESCRIPTORS[descriptor].only_with, DESCRIPTORS[descriptor].why
+    if only not in (None, detector):
+        raise OperatorError(f"'{name}' does not fit: {descriptor} describes {only} keypoints only, because {why}")
+    if detector == "xfeat" != descriptor:
+        raise OperatorError(f"'{name}' does not fit: xfeat's keypoints have no size to describe a patch by")
+    for spec in OPERATORS.values():
+        if (spec.detector, spec.descriptor) == (detector, descriptor):
+            return spec
+    return _pair(detector, descriptor, f"{detector}+{descriptor}", f"{detector} keypoints, {descriptor} descriptors")
