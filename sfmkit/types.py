@@ -314,6 +314,7 @@ class TwoView:
         pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on its tangent plane,
             radians), None where not computed.
         sigma_deg: standard deviation of rotation and translation direction, degrees, from `pose_covariance`.
+        alternatives: other poses (R, t) that explain the matches as well: a plane seen twice usually allows two.
     """
 
     camera1: Camera
@@ -329,6 +330,7 @@ class TwoView:
     H: Tensor | None = None
     pose_covariance: Tensor | None = None
     sigma_deg: tuple[float, float] | None = None
+    alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
 
     def __post_init__(self) -> None:
         _check_tensor("TwoView", "inliers", self.inliers, (None,), torch.bool)

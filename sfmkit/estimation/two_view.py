@@ -12,7 +12,7 @@ from ..geometry.distortion import undistort
 from ..geometry.essential import decompose_essential, essential_from_fundamental, essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.homography import decompose_homography
-from ..geometry.pose import cheirality, choose_pose
+from ..geometry.pose import cheirality, choose_pose, rotation_error, translation_error
 from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
 from ..types import Camera, Correspondences, TwoView, Verdict
@@ -106,12 +106,55 @@ def estimate_two_view(
             camera1, camera2, plane.inliers, judgement.verdict, judgement.reason, judgement.evidence,
             R=judgement.rotation, H=plane.model,
         )  # fmt: skip
+    alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
+    reason = judgement.reason
+    if judgement.verdict is Verdict.PLANAR and plane.model is not None:
+        (R, t), *others = planar_poses(plane.model, (R, t), x1, x2, K1, K2, inliers | plane.inliers, options.threshold_px)
+        alternatives = tuple(others)
+        E = essential_from_pose(R, t)
+        F = fundamental_from_essential(E, K1, K2)
+        inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
+        if alternatives:
+            reason += " A plane seen twice allows two motions; the other one is kept as an alternative."
     in_front = cheirality(normalize(x1, K1), normalize(x2, K2), R, t)
     evidence = judgement.evidence | {"share_in_front": float(in_front[inliers].double().mean())}
     return TwoView(
-        camera1, camera2, inliers & in_front, judgement.verdict, judgement.reason, evidence,
-        R=R, t=t, E=E, F=F, H=plane.model,
+        camera1, camera2, inliers & in_front, judgement.verdict, reason, evidence,
+        R=R, t=t, E=E, F=F, H=plane.model, alternatives=alternatives,
     )  # fmt: skip
+
+
+def planar_poses(
+    H: Tensor,
+    start: tuple[Tensor, Tensor],
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    inliers: Tensor,
+    threshold_px: float,
+) -> list[tuple[Tensor, Tensor]]:
+    """The poses under which the matches of a plane can have been seen, the best supported first.
+
+    A homography decomposes into four poses, of which the plane lies in front of both cameras for one or two. They
+    explain the plane alike; what lies off the plane, if anything, tells them apart, so each is refined on all inliers
+    and they are ordered by their truncated squared Sampson distance. `start`, from the essential matrix, competes too.
+    """
+    xn1, xn2 = normalize(x1, K1), normalize(x2, K2)
+    Rs, ts, _ = decompose_homography(H, K1, K2)
+    candidates = [start, *((R, torch.nn.functional.normalize(t, dim=0)) for R, t in zip(Rs, ts) if float(t.norm()) > 0)]
+    seen: list[tuple[float, Tensor, Tensor]] = []
+    for R, t in candidates:
+        if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < 0.9:
+            continue
+        R, t = refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose
+        e = sampson_distance(fundamental_from_essential(essential_from_pose(R, t), K1, K2), x1, x2)
+        cost = float(e.square().clamp(max=threshold_px**2).sum())
+        if all(float(rotation_error(R, Q) + translation_error(t, u)) > 0.5 for _, Q, u in seen):
+            seen.append((cost, R, t))
+    best = min((cost for cost, _, _ in seen), default=0.0)
+    kept = [(R, t) for cost, R, t in sorted(seen, key=lambda s: s[0]) if cost < 1.2 * best + threshold_px**2]
+    return kept or [start]
 
 
 def robust_essential(

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..geometry.coordinates import denormalize, normalize, to_homogeneous
 from ..geometry.fundamental import sampson_distance
-from ..geometry.homography import transfer
+from ..geometry.homography import homography_sampson
 from ..types import Verdict
 
 MIN_MATCHES = 8
@@ -35,21 +35,6 @@ class Judgement:
     reason: str
     evidence: dict[str, float]
     rotation: Tensor | None = None
-
-
-def homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(N,) squared distance of (x1, x2) to the manifold ``x2 = H x1``, to first order, square pixels.
-
-    With ``r = x2 - H x1`` and ``A = dH/dx1`` it is ``r^T (I + A A^T)^-1 r``: the four coordinates share the error.
-    """
-    w = to_homogeneous(x1) @ H[2]
-    y = transfer(H, x1)
-    A = (H[:2, :2] - y[..., :, None] * H[2, :2]) / w[..., None, None]
-    r = x2 - y
-    C = A @ A.mT + torch.eye(2, dtype=H.dtype, device=H.device)
-    det = C[..., 0, 0] * C[..., 1, 1] - C[..., 0, 1] ** 2
-    quad = C[..., 1, 1] * r[..., 0] ** 2 - 2 * C[..., 0, 1] * r[..., 0] * r[..., 1] + C[..., 0, 0] * r[..., 1] ** 2
-    return quad / det
 
 
 def fit_rotation(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, R0: Tensor, scale_px: float) -> Tensor:

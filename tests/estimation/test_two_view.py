@@ -81,9 +81,10 @@ def test_a_plane_is_planar_and_still_has_its_pose(seed):
     corr, R, t = scene("plane", seed=seed)
     view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
     assert view.verdict is Verdict.PLANAR
-    # A plane seen twice has two calibrated interpretations; both have the rotation near the truth only for one.
-    assert rotation_degrees(view.R.numpy(), R) < 1.0
-    assert degrees_between(view.t.numpy(), t) < 6.0
+    # A plane seen twice allows two motions, and nothing but the other one: the truth is among them.
+    poses = [(view.R, view.t), *view.alternatives]
+    assert len(poses) <= 2
+    assert min(rotation_degrees(Q.numpy(), R) + degrees_between(u.numpy(), t) / 5 for Q, u in poses) < 1.5
 
 
 @pytest.mark.parametrize("seed", range(3))
