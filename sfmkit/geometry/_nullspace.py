@@ -83,14 +83,13 @@ def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[
 
 
 def null_space(A: Tensor) -> Tensor:
-    """(*B, n, n - m) orthonormal basis of the null space of the (*B, m, n) A of full row rank, as constants.
+    """(*B, n, n - m) basis of the null space of the (*B, m, n) A of full row rank, without derivatives.
 
-    Rows are eliminated with the last n - m unknowns free, and the basis is made orthonormal by Cholesky: on small
-    systems a tenth of the time of a batched SVD or QR.
+    From an LU decomposition of A^T, whose row exchanges choose which unknowns are free: as accurate as a QR or SVD, and
+    on small systems a tenth of the time. The basis is well conditioned, not orthonormal.
     """
     m, n = A.shape[-2:]
-    X, _ = torch.linalg.solve_ex(A[..., :m], A[..., m:])
-    gram = torch.eye(n - m, dtype=A.dtype, device=A.device) + X.mT @ X
-    L, _ = torch.linalg.cholesky_ex(gram)
-    basis = torch.cat((-X, torch.eye(n - m, dtype=A.dtype, device=A.device).expand(*X.shape[:-2], -1, -1)), -2)
-    return torch.linalg.solve_triangular(L.mT, basis, upper=True, left=False)
+    P, L, _ = torch.linalg.lu(A.mT)
+    X = torch.linalg.solve_triangular(L[..., :m, :].mT, L[..., m:, :].mT, upper=True, unitriangular=True)
+    eye = torch.eye(n - m, dtype=A.dtype, device=A.device).expand(*X.shape[:-2], -1, -1)
+    return P @ torch.cat((-X, eye), -2)
