@@ -51,15 +51,32 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[st
 @click.argument("image2")
 @click.option("--intrinsics", help="K of image 1 (and 2): a file, or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]. Default: EXIF.")
 @click.option("--intrinsics2", help="K of image 2, where it is another camera.")
-@click.option("--operators", default="surf,orb,fast-brief", show_default=True, callback=_names,
-              help="Detectors, comma-separated; see `sfmkit operators`.")
-@click.option("--preset", type=click.Choice(["default", "paper"]), default="default", show_default=True,
-              help="Our best settings, or the paper's.")
-@click.option("--backend", type=click.Choice(["torch", "opencv", "poselib", "pycolmap"]),
-              help="Robust estimator; default: the preset's.")
+@click.option(
+    "--operators",
+    default="surf,orb,fast-brief",
+    show_default=True,
+    callback=_names,
+    help="Detectors, comma-separated; see `sfmkit operators`.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["default", "paper"]),
+    default="default",
+    show_default=True,
+    help="Our best settings, or the paper's.",
+)
+@click.option(
+    "--backend",
+    type=click.Choice(["torch", "opencv", "poselib", "pycolmap"]),
+    help="Robust estimator; default: the preset's.",
+)
 @click.option("--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels.")
-@click.option("--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly.")
-@click.option("--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side.")
+@click.option(
+    "--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly."
+)
+@click.option(
+    "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
+)
 @click.option("--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B.")
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder to write.")
@@ -145,7 +162,9 @@ def run_reconstruct(
             estimate=replace(options.estimate, **{k: v for k, v in changes.items() if v is not None}),
             detect=replace(options.detect, **detect),
         )
-        result = run(*images, cameras[0], operators, camera2=cameras[1], options=options, seed=seed, truth=pose, progress=say)
+        result = run(
+            *images, cameras[0], operators, camera2=cameras[1], options=options, seed=seed, truth=pose, progress=say
+        )
         say("write", str(out))
         report = write_outputs(result, out, overwrite=overwrite, colmap=colmap, recording=rrd)
     if as_json:
@@ -160,7 +179,9 @@ def run_reconstruct(
 
 
 @main.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True, help="Folder to write.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True, help="Folder to write."
+)
 @click.option("--preset", type=click.Choice(["default", "paper"]), default="default", show_default=True)
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")

@@ -114,8 +114,9 @@ PAPER = Options(
     name="paper",
     detect=DetectOptions(preset="paper"),
     fuse=FuseOptions(merge_radius=None),
-    estimate=EstimateOptions(model="fundamental", backend="opencv", method="ransac", threshold_px=3.0, confidence=0.99,
-                             refine=False),
+    estimate=EstimateOptions(
+        model="fundamental", backend="opencv", method="ransac", threshold_px=3.0, confidence=0.99, refine=False
+    ),
     triangulate=TriangulateOptions(method="dlt"),
 )
 PRESETS: Mapping[str, Options] = MappingProxyType({"default": DEFAULT, "paper": PAPER})

@@ -62,7 +62,9 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             line += ", translation direction (" + ", ".join(f"{v:+.4f}" for v in pose["t"]) + ")"
         facts.add_row("pose", line)
         if pose["sigma_deg"] is not None:
-            facts.add_row("", "standard deviation {:.4f} deg rotation, {:.4f} deg translation".format(*pose["sigma_deg"]))
+            facts.add_row(
+                "", "standard deviation {:.4f} deg rotation, {:.4f} deg translation".format(*pose["sigma_deg"])
+            )
     if "errors" in report:
         errors = report["errors"]
         shown = ["-" if v is None else f"{v:.4f} deg" for v in (errors["rotation_deg"], errors["translation_deg"])]

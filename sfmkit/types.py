@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -76,7 +76,9 @@ class Camera:
         if not np.isfinite(K).all():
             raise CameraError("Camera.K holds NaN or infinite values")
         if not np.allclose(K[2], (0, 0, 1)) or K[1, 0] != 0:
-            raise CameraError(f"Camera.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; its last row is {K[2].tolist()}")
+            raise CameraError(
+                f"Camera.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; its last row is {K[2].tolist()}"
+            )
         if K[0, 0] <= 0 or K[1, 1] <= 0:
             raise CameraError(f"Camera.K has focal lengths {K[0, 0]:g}, {K[1, 1]:g}; both must be positive (pixels)")
         w, h = (int(v) for v in self.size_wh)
@@ -90,7 +92,9 @@ class Camera:
         d = np.zeros(5)
         given = np.atleast_1d(np.asarray(self.distortion, dtype=np.float64))
         if given.ndim != 1 or len(given) > 5 or not np.isfinite(given).all():
-            raise CameraError(f"Camera.distortion must be up to five finite numbers k1 k2 p1 p2 k3, not {given.tolist()}")
+            raise CameraError(
+                f"Camera.distortion must be up to five finite numbers k1 k2 p1 p2 k3, not {given.tolist()}"
+            )
         d[: len(given)] = given
         K.flags.writeable = d.flags.writeable = False
         object.__setattr__(self, "K", K)
@@ -260,7 +264,7 @@ class Correspondences:
             raise InputError("Correspondences.x1 and x2 must be finite")
         if len(self.operators) > MAX_OPERATORS:
             raise InputError(f"at most {MAX_OPERATORS} operators fit one set, not {len(self.operators)}")
-        if n and not (0 <= int(self.operator_id.min()) and int(self.operator_id.max()) < len(self.operators)):
+        if n and not (int(self.operator_id.min()) >= 0 and int(self.operator_id.max()) < len(self.operators)):
             raise InputError("Correspondences.operator_id points outside Correspondences.operators")
         if n and not bool(((self.operator_mask >> self.operator_id) & 1).all()):
             raise InputError("Correspondences.operator_mask must hold the bit of operator_id")
@@ -289,7 +293,7 @@ class Correspondences:
         )
 
 
-class Verdict(str, Enum):
+class Verdict(StrEnum):
     """What the correspondences turned out to show."""
 
     GENERAL = "general"

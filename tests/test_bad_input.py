@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image as PILImage
+from sfmkit.datasets.demo import demo_pair
 
 from sfmkit.cli import main
-from sfmkit.datasets.demo import demo_pair
 
 K = "500,500,319.5,239.5"
 
@@ -269,5 +269,8 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
 
 def test_a_budget_or_threshold_that_makes_no_sense(small_pair, tmp_path):
     assert run(*small_pair[:2], out=tmp_path / "o", extra=("--budget", "0")).exit_code == 2
-    assert run(*small_pair[:2], out=tmp_path / "o", extra=("--threshold", "-1", "--intrinsics", small_pair[2])).exit_code == 2
+    assert (
+        run(*small_pair[:2], out=tmp_path / "o", extra=("--threshold", "-1", "--intrinsics", small_pair[2])).exit_code
+        == 2
+    )
     assert not (tmp_path / "o").exists()

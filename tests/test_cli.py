@@ -53,7 +53,7 @@ def test_the_files_agree_with_the_report(demo_run):
     K = np.array(report["camera"][0]["K"])
     X = np.stack([cloud["x"], cloud["y"], cloud["z"]], 1).astype(float)
     x = X @ K.T
-    rows = np.argsort(matches["point"])[-len(X):]
+    rows = np.argsort(matches["point"])[-len(X) :]
     assert np.median(np.linalg.norm(x[:, :2] / x[:, 2:] - matches["x1"][rows], axis=1)) < 0.5
 
 
@@ -78,7 +78,19 @@ def test_quiet_prints_nothing_and_json_prints_the_report(tmp_path):
 def test_operators_lists_what_is_here():
     result = CliRunner().invoke(main, ["operators", "--json"])
     rows = {row["name"]: row for row in json.loads(result.stdout)}
-    assert {"surf", "orb", "fast-brief", "sift", "rootsift", "akaze", "kaze", "brisk", "harris-brief", "gftt-brief", "xfeat"} <= set(rows)
+    assert {
+        "surf",
+        "orb",
+        "fast-brief",
+        "sift",
+        "rootsift",
+        "akaze",
+        "kaze",
+        "brisk",
+        "harris-brief",
+        "gftt-brief",
+        "xfeat",
+    } <= set(rows)
     assert rows["surf"]["available"]
     assert "8,165,401" in rows["surf"]["licence"]
     assert CliRunner().invoke(main, ["operators"]).exit_code == 0

@@ -82,21 +82,28 @@ def estimate_two_view(
             {"matches": n},
         )
 
-    fit = robust_essential(x1, x2, K1, K2, corr, options, seed)
+    fit = robust_fit(x1, x2, K1, K2, options, seed)
     if fit.model is None:
         return too_little("No epipolar geometry was found among the matches.", {"matches": n, "inliers": 0})
-    R, t = pose_of(fit.model, normalize(x1, K1), normalize(x2, K2), fit.inliers)
+    calibrated = options.model == "essential"
+    E = fit.model if calibrated else essential_from_fundamental(fit.model, K1, K2)
+    R, t = pose_of(E, normalize(x1, K1), normalize(x2, K2), fit.inliers)
     if options.refine:
         R, t = refine_essential(R, t, x1[fit.inliers], x2[fit.inliers], K1, K2).pose
     E = essential_from_pose(R, t)
-    # The paper's F keeps its own inliers; an E is judged by the geometry that is reported.
-    F = fundamental_from_essential(E, K1, K2)
-    inliers = fit.inliers
-    if options.model == "essential":
+    if calibrated or options.refine:
+        F = fundamental_from_essential(E, K1, K2)
         inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
+    else:  # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses thereby
+        F, inliers = fit.model, fit.inliers
 
     plane = estimate_homography_model(
-        x1, x2, backend_name=options.backend, threshold_px=options.threshold_px, seed=seed, max_iterations=PLANE_ITERATIONS
+        x1,
+        x2,
+        backend_name=options.backend,
+        threshold_px=options.threshold_px,
+        seed=seed,
+        max_iterations=PLANE_ITERATIONS,
     )
     judgement = judge(x1, x2, K1, K2, F, inliers, plane.model, options.threshold_px, seed)
     if judgement.verdict is Verdict.TOO_LITTLE:
@@ -109,7 +116,9 @@ def estimate_two_view(
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
     reason = judgement.reason
     if judgement.verdict is Verdict.PLANAR and plane.model is not None:
-        (R, t), *others = planar_poses(plane.model, (R, t), x1, x2, K1, K2, inliers | plane.inliers, options.threshold_px)
+        (R, t), *others = planar_poses(
+            plane.model, (R, t), x1, x2, K1, K2, inliers | plane.inliers, options.threshold_px
+        )
         alternatives = tuple(others)
         E = essential_from_pose(R, t)
         F = fundamental_from_essential(E, K1, K2)
@@ -157,10 +166,8 @@ def planar_poses(
     return kept or [start]
 
 
-def robust_essential(
-    x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, corr: Correspondences, options: EstimateOptions, seed: int
-) -> RobustModel:
-    """The essential matrix by the model and back end of the options."""
+def robust_fit(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: EstimateOptions, seed: int) -> RobustModel:
+    """E, or F where the options say so, by their back end."""
     engine = backend(options.backend)
     settings = {
         "threshold_px": options.threshold_px,
@@ -171,12 +178,7 @@ def robust_essential(
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":
-        fit = engine.estimate_fundamental(x1, x2, **settings)
-        if fit.model is None:
-            return fit
-        return RobustModel(
-            essential_from_fundamental(fit.model, K1, K2), fit.inliers, fit.score, fit.iterations, fit.history
-        )
+        return engine.estimate_fundamental(x1, x2, **settings)
     return engine.estimate_essential(x1, x2, K1, K2, **settings)
 
 
@@ -187,7 +189,13 @@ def pose_of(E: Tensor, xn1: Tensor, xn2: Tensor, inliers: Tensor) -> tuple[Tenso
 
 
 def estimate_homography_model(
-    x1: Tensor, x2: Tensor, *, backend_name: str = "opencv", threshold_px: float = 1.0, seed: int = 0, max_iterations: int = 10_000
+    x1: Tensor,
+    x2: Tensor,
+    *,
+    backend_name: str = "opencv",
+    threshold_px: float = 1.0,
+    seed: int = 0,
+    max_iterations: int = 10_000,
 ) -> RobustModel:
     """The homography ``x2 = H x1`` that most matches agree on (pixels)."""
     engine = backend(backend_name if backend_name in ("torch", "opencv") else "opencv")

@@ -68,11 +68,18 @@ def save_cloud_picture(path: str | Path, cloud: PointCloud) -> None:
         for column, (colour, what) in enumerate(((rgb, "photograph"), (by_operator, "operator"))):
             ax = axes[row, column]
             ax.scatter(X[order, i], X[order, j], c=colour[order], s=size, linewidths=0)
-            ax.set(aspect="equal", xlabel="x (baselines)", ylabel=f"{'xyz'[j]} (baselines)", title=f"{title}, colour: {what}")
+            ax.set(
+                aspect="equal",
+                xlabel="x (baselines)",
+                ylabel=f"{'xyz'[j]} (baselines)",
+                title=f"{title}, colour: {what}",
+            )
             if j == 1:
                 ax.invert_yaxis()
     handles = [
-        Line2D([], [], marker="o", ls="", color=operator_colour(name), label=f"{name}: {int(cloud.found_by(name).sum()):,}")
+        Line2D(
+            [], [], marker="o", ls="", color=operator_colour(name), label=f"{name}: {int(cloud.found_by(name).sum()):,}"
+        )
         for name in cloud.operators
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)

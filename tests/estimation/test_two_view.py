@@ -60,7 +60,9 @@ def degrees_between(a, b):
 
 def rotation_degrees(A, B):
     D = A.T @ B
-    return np.degrees(np.arctan2(np.linalg.norm([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]), np.trace(D) - 1))
+    return np.degrees(
+        np.arctan2(np.linalg.norm([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]), np.trace(D) - 1)
+    )
 
 
 OPTIONS = EstimateOptions(threshold_px=1.5)
