@@ -27,7 +27,6 @@ _PUBLIC = {
     "fuse": "fusion",
     "estimate_two_view": "estimation",
     "reconstruct": "pipeline",
-    "register": "pipeline",
     "Reconstruction": "pipeline",
 }
 __all__ = ["__version__", *_PUBLIC]
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from .fusion import fuse
     from .images import read_image
     from .matching import match
-    from .pipeline import Reconstruction, reconstruct, register
+    from .pipeline import Reconstruction, reconstruct
     from .types import Camera, Correspondences, Features, Matches, PointCloud, TwoView, Verdict
 
 

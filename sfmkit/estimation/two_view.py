@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -72,8 +73,8 @@ def estimate_two_view(
     n = len(corr)
     nothing = torch.zeros(n, dtype=torch.bool)
 
-    def too_little(reason: str, evidence: dict[str, float], **models: Tensor | None) -> TwoView:
-        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, **models)
+    def too_little(reason: str, evidence: dict[str, float]) -> TwoView:
+        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence)
 
     if n < MIN_MATCHES:
         return too_little(
@@ -107,7 +108,7 @@ def estimate_two_view(
     )
     judgement = judge(x1, x2, K1, K2, F, inliers, plane.model, options.threshold_px, seed)
     if judgement.verdict is Verdict.TOO_LITTLE:
-        return too_little(judgement.reason, judgement.evidence, E=E, F=F, H=plane.model)
+        return too_little(judgement.reason, judgement.evidence)
     if judgement.rotation is not None:
         return TwoView(
             camera1, camera2, plane.inliers, judgement.verdict, judgement.reason, judgement.evidence,
@@ -169,7 +170,7 @@ def planar_poses(
 def robust_fit(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: EstimateOptions, seed: int) -> RobustModel:
     """E, or F where the options say so, by their back end."""
     engine = backend(options.backend)
-    settings = {
+    settings: dict[str, Any] = {
         "threshold_px": options.threshold_px,
         "confidence": options.confidence,
         "max_iterations": options.max_iterations,

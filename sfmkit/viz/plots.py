@@ -42,7 +42,8 @@ def save_match_picture(path: str | Path, result: Reconstruction, max_lines: int 
         some = rng.permutation(mine)[: max_lines // len(corr.operators)]
         colour = operator_colour(name)
         ax.add_collection(LineCollection(np.stack([x1[some], x2[some]], 1), colors=colour, linewidths=0.6, alpha=0.8))
-        ax.scatter(*np.concatenate([x1[some], x2[some]]).T, s=3, color=colour, linewidths=0)
+        both = np.concatenate([x1[some], x2[some]])
+        ax.scatter(both[:, 0], both[:, 1], s=3, color=colour, linewidths=0)
         handles.append(Line2D([], [], color=colour, label=f"{name}: {len(some):,} of {len(mine):,} inliers"))
     handles.append(Line2D([], [], color="#808080", lw=0.5, label=f"{len(out):,} of {int((~inliers).sum()):,} outliers"))
     ax.set(xlim=(-0.5, w1 + gap + w2 - 0.5), ylim=(max(h1, h2) - 0.5, -0.5), ylabel="y (pixels)",
