@@ -10,7 +10,7 @@ float64, on the CPU unless said otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, Literal
@@ -171,17 +171,9 @@ class Features:
 
     def take(self, index: np.ndarray) -> Features:
         """The features at `index` (integers or a mask), in that order."""
-        return Features(
-            self.keypoints[index],
-            self.scales[index],
-            self.angles[index],
-            self.scores[index],
-            self.descriptors[index],
-            self.norm,
-            self.operator,
-            self.size_wh,
-            None if self.laplacian is None else self.laplacian[index],
-        )
+        rows = ("keypoints", "scales", "angles", "scores", "descriptors")
+        taken = {name: getattr(self, name)[index] for name in rows}
+        return replace(self, **taken, laplacian=None if self.laplacian is None else self.laplacian[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,14 +275,8 @@ class Correspondences:
 
     def take(self, index: Tensor) -> Correspondences:
         """The correspondences at `index` (integers or a mask), in that order; the counts are kept."""
-        return Correspondences(
-            *(
-                getattr(self, name)[index]
-                for name in ("x1", "x2", "distance", "ratio", "operator_id", "operator_mask", "index1", "index2")
-            ),
-            operators=self.operators,
-            counts=self.counts,
-        )
+        rows = ("x1", "x2", "distance", "ratio", "operator_id", "operator_mask", "index1", "index2")
+        return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
 
 class Verdict(StrEnum):
