@@ -187,7 +187,7 @@ def run_reconstruct(
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 def demo(out: Path, preset: str, quiet: bool, as_json: bool) -> None:
     """Run the main job on the bundled pair, whose true pose is known. Replaces the folder --out."""
-    from .datasets.demo import demo_pair
+    from .datasets.synthetic import demo_pair
 
     image1, image2, truth = demo_pair()
     run_reconstruct(

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image as PILImage
-from sfmkit.datasets.demo import demo_pair
+from sfmkit.datasets.synthetic import demo_pair
 
 from sfmkit.cli import main
 
