@@ -194,7 +194,7 @@ def _open(data: bytes, path: Path) -> PIL.Image.Image:
         try:
             picture = PIL.Image.open(io.BytesIO(data))
         except UnidentifiedImageError:
-            kind = "a text file" if _is_text(data[:4096]) else "not an image of a known kind"
+            kind = "a text file, not an image" if _is_text(data[:4096]) else "not an image of a known kind"
             raise ImageError(f"{path} is {kind}; JPEG, PNG, TIFF, BMP, WebP and PNM files can be read") from None
         finally:
             PIL.Image.MAX_IMAGE_PIXELS = limit
