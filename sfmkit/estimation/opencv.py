@@ -12,8 +12,8 @@ from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.homography import homography_sampson
+from ..geometry.losses import marginal_score
 from .result import RobustModel
-from .scoring import marginal_score
 
 METHODS = {
     "ransac": cv2.RANSAC,
@@ -65,11 +65,9 @@ def estimate_essential(
         K = torch.diag(torch.ones(3, dtype=K1.dtype, device=K1.device))
         K[0, 0] = K[1, 1] = (K1[0, 0] + K1[1, 1] + K2[0, 0] + K2[1, 1]) / 4
         p1, p2 = denormalize(normalize(x1, K1), K), denormalize(normalize(x2, K2), K)
-    p1, p2 = _shuffled(p1, p2, seed)
     found = _solve(
         cv2.findEssentialMat,
-        p1,
-        p2,
+        *_shuffled(p1, p2, seed),
         K.cpu().numpy(),
         method=flag,
         prob=confidence,

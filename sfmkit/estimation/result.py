@@ -15,7 +15,7 @@ class RobustModel:
     Attributes:
         model: (3, 3) float64 E (normalised coordinates), F or H (pixels); None when no model was found.
         inliers: (N,) bool, Sampson distance below the threshold: one test for every back end, so that counts compare.
-        score: the marginal score (:func:`sfmkit.estimation.scoring.marginal_score`) of all matches, between 0 and N.
+        score: the marginal score (:func:`sfmkit.geometry.losses.marginal_score`) of all matches, between 0 and N.
         iterations: minimal samples tried; 0 where the back end does not say.
         history: one entry for each improvement on the way, oldest first; empty where the back end does not say.
     """

@@ -69,12 +69,12 @@ def check_points(minimum: int = 0, weights: Tensor | None = None, *, dim: int = 
         raise InputError("weights must not be negative")
 
 
-def check_matrices(like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor) -> None:
-    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where given)."""
+def check_matrices(like: Tensor | None = None, **matrices: Tensor) -> None:
+    """Raise InputError unless all are finite tensors (*B, 3, 3) of one kind (that of `like` where given)."""
     check_kind(**({} if like is None else {"points": like}), **matrices)
     for name, M in matrices.items():
-        if tuple(M.shape[-len(shape) :]) != shape:
-            raise InputError(f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}")
+        if tuple(M.shape[-2:]) != (3, 3):
+            raise InputError(f"{name} must have shape (*B, 3, 3), not {tuple(M.shape)}")
     check_values(**matrices)
 
 

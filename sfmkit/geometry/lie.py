@@ -73,7 +73,7 @@ def tangent_basis(t: Tensor) -> Tensor:
     Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t to an axis).
     """
     t = t / t.norm(dim=-1, keepdim=True)
-    axis = torch.eye(3, dtype=t.dtype, device=t.device)[t.detach().abs().argmin(-1)]
+    axis = (torch.arange(3, device=t.device) == t.detach().abs().argmin(-1, keepdim=True)).to(t.dtype)
     b1 = torch.linalg.cross(t, axis, dim=-1)
     b1 = b1 / b1.norm(dim=-1, keepdim=True)
     return torch.stack((b1, torch.linalg.cross(t, b1, dim=-1)), -1)
