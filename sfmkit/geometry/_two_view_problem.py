@@ -1,0 +1,281 @@
+"""The least-squares problem behind two-view bundle adjustment: residuals, Jacobians and the reduced camera system.
+
+Unknowns. Camera: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the unit translation,
+and optionally the logarithm of one or two focal scales. Points: ``y = (u, v, rho)``, direction and inverse depth in
+camera 1, ``X = (u, v, 1) / rho``: far points are as well behaved as near ones, and image 1 sees just (u, v).
+
+Each match contributes a 3 x 3 block for its point. With ``L L^T`` its Cholesky factor (closed form), eliminating the
+points leaves the reduced camera system ``S = Jc^T Jc - Z^T Z``, ``Z = L^-1 Jy^T Jc`` (Schur complement; Triggs et al.,
+Bundle adjustment - a modern synthesis, 2000, section 6.1): linear in the number of points, and no larger than 7 x 7.
+
+Components ``(*B, N)`` are kept apart as in ``_rays``; camera quantities are ``(*B, 1)`` next to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ._rays import Vector, components, cross, dot, rotated_ray
+from .lie import so3_exp, sphere_exp, tangent_basis
+
+Loss = Literal["squared", "huber", "cauchy"]
+Focal = Literal["fixed", "shared", "separate"]
+Pair = tuple[Tensor, Tensor]
+
+FREE_FOCALS: dict[Focal, int] = {"fixed": 0, "shared": 1, "separate": 2}
+
+
+class State(NamedTuple):
+    """Where the minimisation stands: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points (u, v, rho)."""
+
+    R: Tensor
+    t: Tensor
+    log_focal: Tensor
+    y: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What was seen (pixels, float64) and how residuals count."""
+
+    x1: Tensor
+    x2: Tensor
+    weights: Tensor
+    K1: Tensor
+    K2: Tensor
+    loss: Loss
+    scale: float
+    focal: Focal
+
+    def detached(self) -> Problem:
+        """The same problem, cut off from any graph."""
+        x1, x2, weights, K1, K2 = (a.detach() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
+        return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
+
+    @property
+    def requires_grad(self) -> bool:
+        return any(a.requires_grad for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
+
+    @property
+    def size(self) -> int:
+        """The number of camera unknowns, 5 to 7."""
+        return 5 + FREE_FOCALS[self.focal]
+
+    def move(self, state: State, camera: Tensor, points: Vector | None = None) -> State:
+        """The state after a camera step (*B, size) and a step of the points."""
+        B = tangent_basis(state.t)
+        u, v, w = state.y
+        if points is not None:
+            u, v, w = u + points[0], v + points[1], w + points[2]
+        log_focal = state.log_focal
+        if self.focal != "fixed":
+            log_focal = log_focal + camera[..., 5:].expand(*camera.shape[:-1], 2)
+        return State(
+            so3_exp(camera[..., :3]) @ state.R,
+            sphere_exp(state.t, (B @ camera[..., 3:5, None])[..., 0]),
+            log_focal,
+            (u, v, w),
+        )
+
+    def cost(self, state: State) -> Tensor:
+        """Half the weighted sum of the loss, (*B,), of each match's squared residual over both images."""
+        r1, r2 = residuals(state, self)
+        return 0.5 * (self.weights * self._rho(_dot2(r1, r1) + _dot2(r2, r2))).sum(-1)
+
+    def _rho(self, s: Tensor) -> Tensor:
+        k2 = self.scale**2
+        if self.loss == "huber":
+            outside = s > k2
+            return torch.where(outside, 2 * self.scale * torch.where(outside, s, k2).sqrt() - k2, s)
+        return k2 * torch.log1p(s / k2) if self.loss == "cauchy" else s
+
+    def slope(self, s: Tensor) -> Tensor:
+        """The loss's derivative by a match's squared residual s, (*B, N): the weight of iterated least squares."""
+        if self.loss == "huber":
+            return self.scale / s.clamp_min(self.scale**2).sqrt()
+        return 1 / (1 + s / self.scale**2) if self.loss == "cauchy" else torch.ones_like(s)
+
+
+class Linearised(NamedTuple):
+    """The Gauss-Newton system at a state; the last of the size + 1 columns of J and Z belongs to the residual."""
+
+    S: Tensor  # (*B, size, size) reduced camera matrix
+    g: Tensor  # (*B, size) its right-hand side, the gradient after the elimination of the points
+    Z: Tensor  # (*B, size + 1, 3, N)
+    L: tuple[Tensor, ...]  # l00, l10, l11, l20, l21, l22
+    H: Tensor  # (*B, size, size) camera block before the elimination
+
+    def solve_points(self, camera: Tensor) -> Vector:
+        """The points' step that goes with a camera step (*B, size)."""
+        one = torch.ones_like(camera[..., :1])
+        rhs = (torch.cat((camera, one), -1)[..., None, :] @ self.Z.flatten(-2))[..., 0, :]
+        a, b, c = rhs.unflatten(-1, (3, -1)).unbind(-2)
+        return back_substitute(self.L, (-a, -b, -c))
+
+
+def residuals(state: State, problem: Problem) -> tuple[Pair, Pair]:
+    """Projected minus seen in image 1 and image 2, pixels."""
+    u, v, w = state.y
+    f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
+    px, py, pz = _in_camera2(state, rotated_ray(state.R, u, v))
+    return _residual(problem.K1, f1, u, v, problem.x1), _residual(problem.K2, f2, px / pz, py / pz, problem.x2)
+
+
+def _in_camera2(state: State, rotated: Vector) -> Vector:
+    w, t = state.y[2], components(state.t)
+    return rotated[0] + w * t[0], rotated[1] + w * t[1], rotated[2] + w * t[2]
+
+
+def _residual(K: Tensor, f: Tensor, a: Tensor, b: Tensor, x: Tensor) -> Pair:
+    fx, skew, cx, fy, cy = intrinsics(K)
+    return f * (fx * a + skew * b) + (cx - x[..., 0]), f * fy * b + (cy - x[..., 1])
+
+
+def intrinsics(K: Tensor) -> tuple[Tensor, ...]:
+    """fx, skew, cx, fy, cy as (*B, 1)."""
+    return K[..., 0, 0, None], K[..., 0, 1, None], K[..., 0, 2, None], K[..., 1, 1, None], K[..., 1, 2, None]
+
+
+class Jacobian(NamedTuple):
+    """Derivatives of the pixels of one match, each column a pair (x, y) of components; None stands for zero."""
+
+    point1: tuple[Pair, Pair]  # image 1 by u, v (rho does not move it)
+    point2: tuple[Pair, Pair, Pair]  # image 2 by u, v, rho
+    camera1: tuple[Pair | None, ...]  # image 1 by the camera unknowns
+    camera2: tuple[Pair | None, ...]
+    residual1: Pair
+    residual2: Pair
+
+
+def jacobian(state: State, problem: Problem) -> Jacobian:
+    """The Jacobian and residuals, not yet weighted."""
+    u, v, w = state.y
+    t = components(state.t)
+    f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
+    rotated = rotated_ray(state.R, u, v)
+    px, py, pz = _in_camera2(state, rotated)
+    inverse = 1 / pz
+    a, b = px * inverse, py * inverse
+    r1 = _residual(problem.K1, f1, u, v, problem.x1)
+    r2 = _residual(problem.K2, f2, a, b, problem.x2)
+    one, zero = torch.ones_like(u), torch.zeros_like(u)
+    fx, skew, _, fy, _ = intrinsics(problem.K1)
+    a11, a12, a22 = f1 * fx, f1 * skew, f1 * fy
+    fx, skew, _, fy, _ = intrinsics(problem.K2)
+    b11, b12, b22 = f2 * fx, f2 * skew, f2 * fy
+    # Rows of d(pixel 2) / d(point in camera 2).
+    row_x: Vector = (b11 * inverse, b12 * inverse, -(b11 * a + b12 * b) * inverse)
+    row_y: Vector = (zero, b22 * inverse, -b22 * b * inverse)
+
+    def seen(direction: Vector) -> Pair:
+        return dot(row_x, direction), row_y[1] * direction[1] + row_y[2] * direction[2]
+
+    B = tangent_basis(state.t)
+    turned = zip(cross(rotated, row_x), cross(rotated, row_y))  # g . (omega x p) = omega . (p x g)
+    shifted = (tuple(w * c for c in seen(components(B[..., k]))) for k in range(2))
+    camera1: list[Pair | None] = [None] * 5
+    camera2: list[Pair | None] = [*turned, *shifted]  # type: ignore[list-item]
+    if problem.focal != "fixed":
+        scaled1, scaled2 = (a11 * u + a12 * v, a22 * v), (b11 * a + b12 * b, b22 * b)
+        camera1 += [scaled1] if problem.focal == "shared" else [scaled1, None]
+        camera2 += [scaled2] if problem.focal == "shared" else [None, scaled2]
+    return Jacobian(
+        ((a11 * one, zero), (a12 * one, a22 * one)),
+        (seen(components(state.R[..., 0])), seen(components(state.R[..., 1])), seen(t)),
+        tuple(camera1),
+        tuple(camera2),
+        r1,
+        r2,
+    )
+
+
+def weigh(J: Jacobian, problem: Problem) -> Jacobian:
+    """Rows times the square root of their weight: ``J^T r`` is the robust gradient, ``J^T J`` bounds the Hessian.
+
+    Iterated reweighting: each step minimises a quadratic that lies above the cost, so that it descends. One weight for
+    both images: two would move the point from one image's residual to the other's, slowly.
+    """
+    s = _dot2(J.residual1, J.residual1) + _dot2(J.residual2, J.residual2)
+    root = (problem.weights * problem.slope(s)).sqrt()
+
+    def times(columns: tuple[Pair | None, ...]) -> tuple[Any, ...]:
+        return tuple(None if c is None else (root * c[0], root * c[1]) for c in columns)
+
+    return Jacobian(*(times(part) for part in J[:4]), *times(J[4:]))  # type: ignore[arg-type]
+
+
+def linearise(state: State, problem: Problem, damping: Tensor | None = None) -> Linearised:
+    """The reduced camera system; with damping (*B,), every point's diagonal is scaled by 1 + damping."""
+    J = weigh(jacobian(state, problem), problem)
+    L = _point_factor(J, 0.0 if damping is None else damping[..., None])
+    columns1 = (*J.camera1, J.residual1)
+    columns2 = (*J.camera2, J.residual2)
+    Z = torch.stack([torch.stack(_whiten(L, _onto_point(J, c1, c2)), -2) for c1, c2 in zip(columns1, columns2)], -3)
+    H = _gram(columns1) + _gram(columns2)
+    flat = Z.flatten(-2)
+    reduced = H - flat @ flat.mT
+    m = problem.size
+    return Linearised(reduced[..., :m, :m], reduced[..., :m, m], Z, L, H)
+
+
+def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
+    """The Cholesky factor of every point's 3 x 3 block."""
+    (au, av), (pu, pv, pw) = J.point1, J.point2
+    grow = 1 + damping
+    uu, vv, ww = _dot2(pu, pu) + _dot2(au, au), _dot2(pv, pv) + _dot2(av, av), _dot2(pw, pw)
+    uv, uw, vw = _dot2(pu, pv) + _dot2(au, av), _dot2(pu, pw), _dot2(pv, pw)
+    l00 = (grow * uu).sqrt()
+    l10, l20 = uv / l00, uw / l00
+    l11 = (grow * vv - l10 * l10).sqrt()
+    l21 = (vw - l20 * l10) / l11
+    # A point on the epipole has no depth to estimate; a floor keeps it where it is.
+    l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
+    return l00, l10, l11, l20, l21, l22
+
+
+_TINY = 1e-24
+
+
+def _onto_point(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Vector:
+    """``Jy^T c`` for one column of the camera Jacobian."""
+    terms: list[list[Tensor]] = [[], [], []]
+    if c1 is not None:
+        for k in range(2):
+            terms[k].append(_dot2(J.point1[k], c1))
+    if c2 is not None:
+        for k in range(3):
+            terms[k].append(_dot2(J.point2[k], c2))
+    zero = torch.zeros_like(J.residual1[0])
+    u, v, w = (sum(term[1:], term[0]) if term else zero for term in terms)
+    return u, v, w
+
+
+def _whiten(L: tuple[Tensor, ...], h: Vector) -> Vector:
+    """``L^-1 h``."""
+    l00, l10, l11, l20, l21, l22 = L
+    z0 = h[0] / l00
+    z1 = (h[1] - l10 * z0) / l11
+    return z0, z1, (h[2] - l20 * z0 - l21 * z1) / l22
+
+
+def back_substitute(L: tuple[Tensor, ...], z: Vector) -> Vector:
+    """``L^-T z``."""
+    l00, l10, l11, l20, l21, l22 = L
+    w = z[2] / l22
+    v = (z[1] - l21 * w) / l11
+    return (z[0] - l10 * v - l20 * w) / l00, v, w
+
+
+def _gram(columns: tuple[Pair | None, ...]) -> Tensor:
+    """All inner products between the columns of one image."""
+    zero = torch.zeros_like(next(c for c in columns if c is not None)[0])
+    J = torch.stack([torch.stack(torch.broadcast_tensors(*(c or (zero, zero))), -2) for c in columns], -3).flatten(-2)
+    return J @ J.mT
+
+
+def _dot2(a: Pair, b: Pair) -> Tensor:
+    return a[0] * b[0] + a[1] * b[1]

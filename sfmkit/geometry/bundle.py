@@ -1,0 +1,200 @@
+"""Two-view bundle adjustment: the pose and the points that together reproject best, in pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ._checks import _traced, check_intrinsics, check_points
+from ._two_view_problem import FREE_FOCALS, Focal, Loss, Problem, State, linearise
+from .coordinates import _normalize
+from .pose import check_pose
+from .triangulation import triangulate_optimal
+
+_TOLERANCE = 1e-12  # of the cost: the decrease still to be had at convergence
+_EXACT = 1e-20  # pixels squared per match: rounding of the residuals
+_DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViewBundle:
+    """Two cameras and their points at a minimum of the reprojection error.
+
+    Attributes:
+        R: ``(*B, 3, 3)``.
+        t: ``(*B, 3)`` unit length, ``X2 = R X1 + t``.
+        X: ``(*B, N, 3)`` points in camera 1, in baselines.
+        K1, K2: ``(*B, 3, 3)``, with the focal lengths found where they were free.
+        cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after each step.
+        iterations: ``(*B,)`` int64, linearisations until convergence.
+        converged: ``(*B,)`` bool.
+        x1, x2, weights, loss, loss_scale, focal: the problem that was solved.
+    """
+
+    R: Tensor
+    t: Tensor
+    X: Tensor
+    K1: Tensor
+    K2: Tensor
+    cost: Tensor
+    iterations: Tensor
+    converged: Tensor
+    x1: Tensor
+    x2: Tensor
+    weights: Tensor
+    loss: Loss
+    loss_scale: float
+    focal: Focal
+
+    def problem(self) -> Problem:
+        """The least-squares problem at the cameras found, float64."""
+        x1, x2, weights, K1, K2 = (a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
+        return Problem(x1, x2, weights, K1, K2, self.loss, self.loss_scale, self.focal)
+
+    def state(self) -> State:
+        """The unknowns at the minimum, float64; focal scales relative to K1 and K2."""
+        x, y, z = self.X.double().unbind(-1)
+        log_focal = torch.zeros((*self.t.shape[:-1], 2), dtype=torch.float64, device=self.t.device)
+        return State(self.R.double(), self.t.double(), log_focal, (x / z, y / z, 1 / z))
+
+
+def bundle_adjust(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    R: Tensor,
+    t: Tensor,
+    weights: Tensor | None = None,
+    *,
+    loss: Loss = "squared",
+    loss_scale: float = 1.0,
+    focal: Focal = "fixed",
+    max_iterations: int = 50,
+) -> TwoViewBundle:
+    """Refine the pose and all points (and, if asked, the focal lengths) from a starting pose.
+
+    Levenberg-Marquardt on the reduced camera system, with analytic Jacobians and points as direction and inverse depth;
+    time and memory are linear in N. The minimum is differentiable by x1, x2, weights, K1 and K2: first derivatives, by
+    the implicit function theorem with the exact Hessian, at a price that does not depend on the iterations. The start
+    R, t has derivative zero.
+
+    Args:
+        x1, x2: ``(*B, N, 2)`` pixels, undistorted; N at least 5 plus the free focal lengths.
+        K1, K2: ``(*B, 3, 3)`` intrinsics.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` where to start; the length of t does not matter.
+        weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance), ones if left out.
+        loss: of a match's residual (4-vector over both images): ``squared``, ``huber`` or ``cauchy``.
+        loss_scale: pixels, where huber turns from squares to absolute values and cauchy starts to level off.
+        focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal length is well
+            determined only where the optical axes do not meet (Kanatani and Matsunaga 2000); look at the covariance.
+        max_iterations: 0 triangulates at the given pose and goes nowhere.
+
+    Raises:
+        InputError: on shapes, dtypes or devices that do not fit, NaN, unknown options, or a zero t.
+        DegenerateGeometryError: with too few matches.
+
+    Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis, 2000.
+    """
+    if loss not in ("squared", "huber", "cauchy"):
+        raise InputError(f"loss must be 'squared', 'huber' or 'cauchy', not {loss!r}")
+    if focal not in FREE_FOCALS:
+        raise InputError(f"focal must be 'fixed', 'shared' or 'separate', not {focal!r}")
+    if not loss_scale > 0:
+        raise InputError(f"loss_scale must be positive (pixels), not {loss_scale}")
+    check_points(minimum=5 + FREE_FOCALS[focal], weights=weights, x1=x1, x2=x2)
+    check_intrinsics(x1, K1=K1, K2=K2)
+    check_pose(R, t, like=x1)
+    try:
+        batch = torch.broadcast_shapes(x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1])
+    except RuntimeError:
+        raise InputError("the batch shapes of x1, K1, K2, R and t do not go together") from None
+    ones = x1.new_ones(x1.shape[:-1]) if weights is None else weights
+    problem = Problem(x1.double(), x2.double(), ones.double(), K1.double(), K2.double(), loss, loss_scale, focal)
+    fixed = problem.detached()
+
+    state = _start(fixed, R.detach().double().expand(*batch, 3, 3), t.detach().double().expand(*batch, 3))
+    state, cost, iterations, converged = _minimise(state, fixed, max_iterations)
+    if max_iterations > 0 and (_traced() or (torch.is_grad_enabled() and problem.requires_grad)):
+        from ._implicit import attach_derivatives
+
+        state = attach_derivatives(state, fixed, problem)
+    u, v, w = state.y
+    f1, f2 = state.log_focal.exp().unbind(-1)
+    kind = x1.dtype
+    return TwoViewBundle(
+        state.R.to(kind),
+        state.t.to(kind),
+        (torch.stack((u, v, torch.ones_like(u)), -1) / w[..., None]).to(kind),
+        _with_focal(problem.K1, f1).to(kind),
+        _with_focal(problem.K2, f2).to(kind),
+        cost.to(kind),
+        iterations,
+        converged,
+        x1,
+        x2,
+        ones,
+        loss,
+        loss_scale,
+        focal,
+    )
+
+
+def _start(problem: Problem, R: Tensor, t: Tensor) -> State:
+    t = t / t.norm(dim=-1, keepdim=True)
+    xn1, xn2 = _normalize(problem.x1, problem.K1), _normalize(problem.x2, problem.K2)
+    X = triangulate_optimal(xn1, xn2, R, t, homogeneous=True)
+    x, y, z, w = X.unbind(-1)
+    return State(R, t, torch.zeros_like(t[..., :2]), (x / z, y / z, w / z))
+
+
+def _minimise(state: State, problem: Problem, max_iterations: int) -> tuple[State, Tensor, Tensor, Tensor]:
+    """Levenberg-Marquardt, every batch item at its own pace: state, cost history, iterations, converged."""
+    watched = not _traced()  # inside a transform values cannot decide when to stop: all iterations are run
+    cost = problem.cost(state)
+    n = problem.x1.shape[-2]
+    damping = torch.full_like(cost, _DAMPING[0])
+    iterations = torch.zeros_like(cost, dtype=torch.int64)
+    converged = torch.zeros_like(cost, dtype=torch.bool)
+    history = [cost]
+    for _ in range(max_iterations):
+        system = linearise(state, problem, damping)
+        diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
+        camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
+        trial = problem.move(state, camera, system.solve_points(camera))
+        reached = problem.cost(trial)
+        # What a full step could still gain, from the points and then from the camera.
+        own = system.Z[..., -1, :, :]
+        gain = (own * own).sum((-1, -2)) - (camera * system.g).sum(-1)
+        arrived = gain <= _TOLERANCE * cost + _EXACT * n
+        iterations = iterations + (~converged).long()
+        better = (reached <= cost) & ~converged
+        state = _select(better, trial, state)
+        cost = torch.where(better, reached, cost)
+        damping = torch.where(better, damping / _DAMPING[1], damping * _DAMPING[1])
+        converged = converged | arrived
+        history.append(cost)
+        if watched and bool(converged.all()):
+            break
+    return state, torch.stack(history, -1), iterations, converged
+
+
+def _select(condition: Tensor, a: State, b: State) -> State:
+    one = condition[..., None]
+    u, v, w = (torch.where(one, i, j) for i, j in zip(a.y, b.y))
+    return State(
+        torch.where(one[..., None], a.R, b.R),
+        torch.where(one, a.t, b.t),
+        torch.where(one, a.log_focal, b.log_focal),
+        (u, v, w),
+    )
+
+
+def _with_focal(K: Tensor, f: Tensor) -> Tensor:
+    """K with its focal lengths and skew times f."""
+    one = torch.ones_like(f)
+    first = torch.stack((f, f, one), -1)
+    return K * torch.stack((first, first, torch.ones_like(first)), -2)
