@@ -26,7 +26,7 @@ def check_values(**tensors: Tensor | None) -> None:
 
 
 def check_kind(**tensors: Tensor | None) -> None:
-    """Raise InputError unless all are float32 or all float64 tensors on one device."""
+    """Raise InputError unless all (but None) are float32 or all float64 tensors on one device."""
     first: tuple[str, Tensor] | None = None
     for name, a in tensors.items():
         if a is None:
@@ -69,12 +69,12 @@ def check_points(minimum: int = 0, weights: Tensor | None = None, *, dim: int = 
         raise InputError("weights must not be negative")
 
 
-def check_matrices(like: Tensor | None = None, **matrices: Tensor) -> None:
-    """Raise InputError unless all are finite tensors (*B, 3, 3) of one kind (that of `like` where given)."""
-    check_kind(**({} if like is None else {"points": like}), **matrices)
+def check_matrices(like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor) -> None:
+    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where given)."""
+    check_kind(points=like, **matrices)
     for name, M in matrices.items():
-        if tuple(M.shape[-2:]) != (3, 3):
-            raise InputError(f"{name} must have shape (*B, 3, 3), not {tuple(M.shape)}")
+        if tuple(M.shape[-len(shape) :]) != shape:
+            raise InputError(f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}")
     check_values(**matrices)
 
 

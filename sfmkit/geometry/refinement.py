@@ -91,16 +91,15 @@ def refine_essential(
     except RuntimeError:
         raise InputError("the batch shapes of R, t, x1, K1 and K2 do not go together") from None
     dtype = x1.dtype
-    given = (x1, x2, K1, K2, weights)
-    doubles = tuple(None if a is None else a.double() for a in given)
-    fixed = _matches(*(None if a is None else a.detach() for a in doubles))
+    matches = _matches(x1, x2, K1, K2, weights)
+    fixed = _Matches(*(None if a is None else a.detach() for a in matches))  # type: ignore[arg-type]
     objective = _Objective(loss, loss_scale)
     R = R.detach().double().expand(*batch, 3, 3)
     t = torch.nn.functional.normalize(t.detach().double(), dim=-1).expand(*batch, 3)
     R, t, cost, iterations, converged = _minimise(R, t, fixed, objective, max_iterations)
-    differentiated = torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in given)
+    differentiated = torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in matches)
     if max_iterations > 0 and (differentiated or _traced()):
-        R, t = _attach_derivatives(R, t, fixed, _matches(*doubles), objective)
+        R, t = _attach_derivatives(R, t, fixed, matches, objective)
     return EssentialRefinement(R.to(dtype), t.to(dtype), cost.to(dtype), iterations, converged)
 
 
@@ -123,9 +122,9 @@ class _Matches(NamedTuple):
 
 
 def _matches(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, weights: Tensor | None) -> _Matches:
-    h1, h2 = (to_homogeneous(_normalize(x, K)).mT.contiguous() for x, K in ((x1, K1), (x2, K2)))
-    S1, S2 = (inverse_intrinsics(K).mT[..., :2, :2] for K in (K1, K2))
-    return _Matches(h1, h2, S1, S2, weights)
+    h1, h2 = (to_homogeneous(_normalize(x.double(), K.double())).mT.contiguous() for x, K in ((x1, K1), (x2, K2)))
+    S1, S2 = (inverse_intrinsics(K.double()).mT[..., :2, :2] for K in (K1, K2))
+    return _Matches(h1, h2, S1, S2, None if weights is None else weights.double())
 
 
 class _Residual(NamedTuple):
