@@ -104,7 +104,9 @@ def _check_comparable(features1: Features, features2: Features) -> None:
     for name in ("operator", "norm"):
         a, b = getattr(features1, name), getattr(features2, name)
         if a != b:
-            raise InputError(f"features of different {name} ('{a}' and '{b}') cannot be matched; detect with one operator")
+            raise InputError(
+                f"features of different {name} ('{a}' and '{b}') cannot be matched; detect with one operator"
+            )
     w1, w2 = features1.descriptors.shape[1], features2.descriptors.shape[1]
     if w1 != w2 and len(features1) and len(features2):
         raise InputError(
@@ -182,7 +184,9 @@ def _nearest(a: Tensor, b: Tensor, mutual: bool) -> tuple[Tensor, Tensor, Tensor
     bt = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])]).t()
     parts = _map_on_cores(lambda part: _search(part, bt, n2, mutual), a.split(_PART) if a.device.type == "cpu" else [a])
 
-    best, second, value, leads = (torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "leads"))
+    best, second, value, leads = (
+        torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "leads")
+    )
     if not mutual:
         return torch.arange(len(a), device=a.device), best, second
     column_best = torch.stack([p.column_best for p in parts])
