@@ -128,6 +128,15 @@ def detect_and_describe(grey: np.ndarray, name: str, options: dict[str, Any]) ->
     return _from_cv(keypoints), _empty(feature) if descriptors is None else descriptors
 
 
+def describable(xy: np.ndarray, name: str, options: dict[str, Any], size_wh: tuple[int, int]) -> np.ndarray:
+    """(N,) bool: keypoints whose patch, where its size is known beforehand, lies inside the image."""
+    margin = DESCRIPTORS[name].margin + options.get("half_ssd_size", 0)
+    if not margin:
+        return np.ones(len(xy), dtype=bool)
+    at = np.rint(xy)
+    return ((at >= margin) & (at < np.array(size_wh) - margin)).all(axis=1)
+
+
 def describe(
     grey: np.ndarray, kp: Keypoints, detector: str, name: str, options: dict[str, Any]
 ) -> tuple[Keypoints, np.ndarray]:
@@ -156,8 +165,8 @@ def describe(
     octaves = np.zeros_like(kp.octaves)
     if name == "orb":  # which takes the patch from the pyramid level, not from the size
         octaves = np.clip(np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO)), 0, 7).astype(np.int64)
-    # BRISK looks for an orientation only where there is none; all others would turn the patch by -1 degree.
-    angles = kp.angles if name == "brisk" else np.maximum(kp.angles, 0)
+    # BRISK looks for an orientation only where there is none; the others would take OpenCV's -1 for one degree.
+    angles = kp.angles if name == "brisk" else upright_is_zero(kp.angles)
     given = replace(kp, sizes=sizes, octaves=octaves, angles=angles)
     described, descriptors = _run(f"{detector}+{name}", grey, feature.compute, _to_cv(given))
     if descriptors is None or not len(described):
@@ -168,6 +177,11 @@ def describe(
     if spec.orients:
         kept = replace(kept, angles=_from_cv(described).angles[order])
     return kept, descriptors[order]
+
+
+def upright_is_zero(angles: np.ndarray) -> np.ndarray:
+    """Degrees in [0, 360), with 0 where OpenCV says -1 for none."""
+    return np.where(angles == -1, 0, angles % 360).astype(np.float32)
 
 
 def _empty(feature: cv2.Feature2D) -> np.ndarray:

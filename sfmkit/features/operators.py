@@ -126,8 +126,9 @@ def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device
         kp, descriptors = kp.take(rows), descriptors[rows]
     else:
         kp = _keypoints(grey, spec.detector, detector_settings, device)
-        kp = kp.take(select(kp.xy, kp.scores))
         describer_settings = {k: v for k, v in settings.items() if k in what.options and k not in where.options}
+        kp = kp.take(np.flatnonzero(opencv.describable(kp.xy, spec.descriptor, describer_settings, size_wh)))
+        kp = kp.take(select(kp.xy, kp.scores))
         if oriented:
             kp = Keypoints(kp.xy, kp.sizes, opencv.centroid_angles(grey, kp.xy), kp.scores, kp.octaves)
             if what.rotates_by is not None:
@@ -140,7 +141,7 @@ def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device
         xy = refine(grey, xy, spec.detector, detector_settings, kp.octaves).astype(np.float32)
     # A patch without any gradient has no direction to normalise by in some of OpenCV's descriptors.
     rows = np.flatnonzero(np.isfinite(descriptors).all(axis=1))
-    angles = np.deg2rad(np.maximum(kp.angles, 0)).astype(np.float32)
+    angles = np.deg2rad(opencv.upright_is_zero(kp.angles))
     return Features(
         xy[rows], kp.sizes[rows], angles[rows], kp.scores[rows], descriptors[rows], spec.norm, spec.name, size_wh
     )  # fmt: skip
@@ -163,10 +164,9 @@ def _describe(
         return opencv.describe(grey, kp, spec.detector, spec.descriptor, settings)
     from .surf import describe
 
-    angles = np.deg2rad(np.maximum(kp.angles, 0))
-    # SURF's patch is narrower, in sizes, than that of FAST's peers; see DETECTORS["surf"].fast_size.
-    sizes = kp.sizes * (DETECTORS[spec.detector].fast_size / DETECTORS["surf"].fast_size)
-    return kp, describe(grey, kp.xy, sizes.astype(np.float32), angles.astype(np.float32), device=device, **settings)
+    angles = np.deg2rad(opencv.upright_is_zero(kp.angles))
+    sizes = kp.sizes * np.float32(DETECTORS[spec.detector].fast_size / DETECTORS["surf"].fast_size)
+    return kp, describe(grey, kp.xy, sizes, angles, device=device, **settings)
 
 
 def _hellinger(descriptors: np.ndarray) -> np.ndarray:

@@ -20,20 +20,24 @@ def suppression_radii(keypoints: np.ndarray, scores: np.ndarray) -> np.ndarray:
     Returns:
         (N,) float64 pixels.
     """
-    n = len(keypoints)
-    rank = np.empty(n, dtype=np.int64)
-    rank[np.argsort(-scores, kind="stable")] = np.arange(n)
-    radii = np.full(n, np.inf)
-    tree = cKDTree(keypoints)
-    # Nearly every keypoint has a stronger one among its nearest few; only those without look further.
-    pending, k = np.arange(n), 8
-    while len(pending) and k < 4 * n:
-        distance, neighbour = tree.query(keypoints[pending], k=min(k, n))
-        distance, neighbour = distance.reshape(len(pending), -1), neighbour.reshape(len(pending), -1)
-        stronger = rank[neighbour] < rank[pending, None]
-        found = stronger.any(axis=1)
-        radii[pending[found]] = distance[found, stronger[found].argmax(axis=1)]
-        pending, k = pending[~found], 4 * k
+    order = np.argsort(-scores, kind="stable")
+    points = keypoints[order]
+    radii = np.full(len(points), np.inf)
+    # From weak to strong, the weaker half of what is left among all of it: a stronger neighbour is then close in rank,
+    # and a keypoint without one among its nearest few is rare and looks further.
+    end = len(points)
+    while end > 1:
+        tree = cKDTree(points[:end])
+        pending, k = np.arange(end // 2, end), 4
+        while len(pending):
+            k = min(k, end)
+            distance, neighbour = tree.query(points[pending], k=k)
+            stronger = neighbour < pending[:, None]
+            found = stronger.any(axis=1)
+            radii[pending[found]] = distance[found, stronger[found].argmax(axis=1)]
+            pending, k = pending[~found], 4 * k
+        end //= 2
+    radii[order] = radii.copy()
     return radii
 
 

@@ -57,6 +57,7 @@ class DescriptorSpec:
         norm: how two descriptors are compared.
         width: length in floats (norm l2) or bits (norm hamming), at default options.
         options: its options with our defaults.
+        margin: keypoints closer than this to the border, in pixels, are dropped; 0 where it depends on their size.
         orients: finds the orientation itself, whatever the detector said.
         rotates_by: the option that makes it follow the keypoint's orientation; None when it always does.
         only_with: the only detector whose keypoints it can describe; None for any.
@@ -68,6 +69,7 @@ class DescriptorSpec:
     norm: Norm
     width: int
     options: Options = field(default_factory=dict)
+    margin: int = 0
     orients: bool = False
     rotates_by: str | None = None
     only_with: str | None = None
@@ -182,13 +184,14 @@ DETECTORS: Mapping[str, DetectorSpec] = {
 _LEVELS = "it reads scale levels that only its own detector computes"
 
 DESCRIPTORS: Mapping[str, DescriptorSpec] = {
-    "surf": DescriptorSpec(None, "l2", 64, {"extended": False, "upright": False}, orients=True, licence=SURF_PATENT),
-    "orb": DescriptorSpec("ORB_create", "hamming", 256),
+    "surf": DescriptorSpec(None, "l2", 64, {"extended": False}, licence=SURF_PATENT),
+    "orb": DescriptorSpec("ORB_create", "hamming", 256, margin=31),
     "brief": DescriptorSpec(
         "xfeatures2d.BriefDescriptorExtractor_create",
         "hamming",
         256,
         {"bytes": 32, "use_orientation": False},
+        margin=28,
         rotates_by="use_orientation",
     ),
     "sift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
@@ -206,6 +209,7 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         "hamming",
         256,
         {"bytes": 32, "rotationInvariance": True, "half_ssd_size": 3, "sigma": 2.0},
+        margin=24,
     ),
     # Patch sides are multiples of the size that FAST gives; see DetectorSpec.fast_size.
     "beblid": DescriptorSpec("xfeatures2d.BEBLID_create", "hamming", 512, {"scale_factor": 5.0}),

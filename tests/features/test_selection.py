@@ -1,0 +1,108 @@
+"""Even selection against its definition, computed the slow way, and against the strongest-first choice."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sfmkit.errors import InputError
+from sfmkit.features import select_evenly
+from sfmkit.features.selection import suppression_radii
+
+SIZE = (800, 600)
+
+
+def radii_by_definition(points: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    n = len(points)
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    earlier = np.arange(n)[None] < np.arange(n)[:, None]
+    stronger = (scores[None] > scores[:, None]) | ((scores[None] == scores[:, None]) & earlier)
+    return np.where(stronger, distance, np.inf).min(axis=1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 120),
+    levels=st.sampled_from([1, 3, 10**6]),
+    grid=st.sampled_from([4, 50, 10**6]),
+    seed=st.integers(0, 99),
+)
+def test_radii_are_the_distance_to_the_nearest_stronger_one(n, levels, grid, seed):
+    """With ties in strength (few levels) and in place (a coarse grid)."""
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, grid, (n, 2)) * (600.0 / grid)
+    scores = rng.integers(0, levels, n).astype(float)
+    np.testing.assert_allclose(suppression_radii(points, scores), radii_by_definition(points, scores), rtol=1e-12)
+
+
+def crowded(n: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    """Strong keypoints in one corner, weaker ones everywhere."""
+    rng = np.random.default_rng(0)
+    corner = rng.uniform((0, 0), (150, 150), (n // 2, 2))
+    rest = rng.uniform((0, 0), SIZE, (n // 2, 2))
+    return np.concatenate([corner, rest]), np.concatenate([rng.uniform(5, 9, n // 2), rng.uniform(1, 5, n // 2)])
+
+
+def coverage(points: np.ndarray) -> float:
+    """Share of 40 x 40 pixel cells that hold a point."""
+    cells = (points // 40).astype(int)
+    return len(np.unique(cells, axis=0)) / (20 * 15)
+
+
+def test_selection_covers_the_image_where_strongest_first_does_not():
+    points, scores = crowded()
+    even = select_evenly(points, scores, 300, SIZE)
+    strongest = np.argsort(-scores)[:300]
+    assert coverage(points[strongest]) < 0.1
+    assert coverage(points[even]) > 0.6
+    # ... and it prefers strong ones: better than a random choice of as many from the same cells
+    assert np.argmax(scores) in even
+    weak_half = points[:, 0] > 200
+    assert scores[even][points[even][:, 0] > 200].mean() > scores[weak_half].mean() + 0.5
+
+
+def test_selection_is_exact_in_number_ascending_and_repeatable():
+    points, scores = crowded()
+    chosen = select_evenly(points, scores, 777, SIZE)
+    assert len(chosen) == len(set(chosen.tolist())) == 777
+    assert (np.diff(chosen) > 0).all()
+    np.testing.assert_array_equal(chosen, select_evenly(points, scores, 777, SIZE))
+    np.testing.assert_array_equal(select_evenly(points, scores, 4000, SIZE), np.arange(4000))
+    assert len(select_evenly(points[:0], scores[:0], 5, SIZE)) == 0
+
+
+def test_selection_does_not_depend_on_the_order_of_the_input():
+    points, scores = crowded(1000)
+    shuffle = np.random.default_rng(1).permutation(1000)
+    chosen = select_evenly(points, scores, 100, SIZE)
+    np.testing.assert_array_equal(np.sort(shuffle[select_evenly(points[shuffle], scores[shuffle], 100, SIZE)]), chosen)
+
+
+@pytest.mark.parametrize(
+    "points, scores, budget, hint",
+    [
+        (np.zeros((3, 2)), np.zeros(3), 0, "budget"),
+        (np.zeros((3, 2)), np.zeros(3), 1.5, "budget"),
+        (np.zeros((3, 2)), np.zeros(2), 1, "expected"),
+        (np.zeros((3, 3)), np.zeros(3), 1, "expected"),
+        (np.full((3, 2), np.nan), np.zeros(3), 1, "finite"),
+        (np.full((3, 2), 900.0), np.zeros(3), 1, "outside"),
+    ],
+)
+def test_bad_input_is_refused(points, scores, budget, hint):
+    with pytest.raises(InputError, match=hint):
+        select_evenly(points, scores, budget, SIZE)
+
+
+@pytest.mark.parametrize("kind", ["random", "constant", "ramp"])
+def test_fifty_thousand_keypoints_take_a_third_of_a_second_at_most(kind):
+    rng = np.random.default_rng(0)
+    points = rng.uniform((0, 0), (3072, 2048), (50_000, 2))
+    scores = {"random": rng.random(50_000), "constant": np.ones(50_000), "ramp": points[:, 0]}[kind]
+    start = time.process_time()
+    assert len(select_evenly(points, scores, 5000, (3072, 2048))) == 5000
+    assert time.process_time() - start < 0.3
