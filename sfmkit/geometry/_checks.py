@@ -80,7 +80,7 @@ def check_matrices(like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3
 
 def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
     """Raise InputError unless all are invertible intrinsics ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
-    check_matrices(like, **cameras)
+    check_matrices(like, shape=(3, 3), **cameras)
     if _traced():
         return
     for name, K in cameras.items():

@@ -9,6 +9,7 @@ from ..errors import InputError
 from ._checks import check_intrinsics, check_matrices, check_points
 from ._five_point import five_point, rotated, rotation_step
 from ._nullspace import detached, smallest_singular_vector
+from .fundamental import cofactors, slots
 from .lie import hat
 
 
@@ -81,12 +82,6 @@ def decompose_essential(E: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack((R1, R1, R2, R2), -3).to(E.dtype), torch.stack((t, -t, t, -t), -2).to(E.dtype)
 
 
-def cofactors(A: Tensor) -> Tensor:
-    """(*B, 3, 3) matrix of cofactors: the cross products of the rows."""
-    a, b, c = A.unbind(-2)
-    return torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((b, c), (c, a), (a, b))], -2)
-
-
 def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
     """All real essential matrices of five matches.
 
@@ -123,14 +118,7 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     for _ in range(2):
         a, b = rotation_step(E, x1[owner], x2[owner])
         E = rotated(E, a, b)
-    # What a degenerate sample leaves behind is not a solution.
-    good = (torch.linalg.vector_norm(rotation_step(E, x1[owner], x2[owner])[0], dim=-1) < 1e-6) & E.isfinite().all(
-        -1
-    ).all(-1)
-    E, owner = E[good], owner[good]
-    count = torch.bincount(owner, minlength=len(x1))
-    slot = torch.arange(len(owner), device=E.device) - (count.cumsum(0) - count)[owner]
-    out = E.new_zeros(len(x1), 10, 3, 3)
-    out[owner, slot] = E
-    valid = torch.arange(10, device=E.device) < count[:, None]
-    return out.reshape(*batch, 10, 3, 3), valid.reshape(*batch, 10)
+    # What a degenerate sample leaves behind is not a solution: it is not finite, or still moves.
+    step = rotation_step(E, x1[owner], x2[owner])[0].abs().amax(-1)
+    good = (step < 1e-6) & E.isfinite().all(-1).all(-1)
+    return slots(E[good], owner[good], len(x1), 10, batch)

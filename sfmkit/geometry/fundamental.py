@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..errors import InputError
 from ._checks import check_determined, check_intrinsics, check_matrices, check_points
-from ._nullspace import smallest_singular_vector
+from ._nullspace import detached, null_space, smallest_singular_vector
+from ._roots import nodes, real_roots
 from .coordinates import _hartley, inverse_intrinsics, to_homogeneous
 from .lie import hat
 
@@ -39,6 +41,91 @@ def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) ->
     check_determined(gap, dtype, "F", "they may lie on one plane, on one line, or repeat one another")
     F = T2.mT @ rank2(f.unflatten(-1, (3, 3))) @ T1
     return unit_norm(F).to(dtype)
+
+
+def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
+    """All real fundamental matrices of seven matches; differentiated implicitly.
+
+    Args:
+        x1, x2: (*B, 7, 2) pixels.
+
+    Returns:
+        F: (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2, arbitrary sign; zero where there is none.
+        valid: (*B, 3) bool, the solutions first.
+
+    Raises:
+        InputError: not exactly 7 matches; shapes, dtypes, devices, NaN.
+
+    Source: Hartley & Zisserman 11.1.2; the cubic is evaluated on the circle and its roots bracketed there (``_roots``).
+    """
+    check_points(7, x1=x1, x2=x2)
+    if x1.shape[-2] != 7:
+        raise InputError(f"the seven-point algorithm needs exactly 7 matches, not {x1.shape[-2]}")
+    dtype = x1.dtype
+    (n1, T1), (n2, T2) = _hartley(x1.double()), _hartley(x2.double())
+    F, valid = detached(_all_solutions, n1, n2)
+    rows = epipolar_rows(n1, n2)[..., None, :, :]
+    for _ in range(2):  # the first step polishes, the second carries the derivatives
+        F = F.detach()
+        F = F - _seven_point_step(F, rows, valid)
+    F = T2.mT[..., None, :, :] @ F @ T1[..., None, :, :]
+    size = F.flatten(-2).norm(dim=-1)[..., None, None]
+    return torch.where(valid[..., None, None], F / torch.where(size > 0, size, 1.0), 0.0).to(dtype), valid
+
+
+def seven_point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
+    """All real solutions of B samples, without derivatives.
+
+    Args:
+        x1, x2: (B, 7, 2) Hartley-normalised.
+
+    Returns:
+        F: (M, 3, 3) of unit norm. owner: (M,) int64, ascending: the sample that a solution is of.
+    """
+    N = null_space(epipolar_rows(x1, x2)).mT.unflatten(-1, (3, 3))
+    N = unit_norm(N)
+    A, B = N[:, 0], N[:, 1]
+    angles = torch.tensor(nodes(3), dtype=x1.dtype, device=x1.device)[:, None, None]
+    values = torch.linalg.det(A[:, None] * angles.cos() + B[:, None] * angles.sin())
+    owner, angle = real_roots(values, cells=96)
+    F = A[owner] * angle.cos()[:, None, None] + B[owner] * angle.sin()[:, None, None]
+    return unit_norm(F), owner
+
+
+def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
+    """(*B, 3, 3, 3) solutions and which of the three slots hold one."""
+    batch = x1.shape[:-2]
+    x1, x2 = x1.reshape(-1, 7, 2), x2.reshape(-1, 7, 2)
+    F, owner = seven_point(x1, x2)
+    good = F.isfinite().all(-1).all(-1)
+    return slots(F[good], owner[good], len(x1), 3, batch)
+
+
+def slots(M: Tensor, owner: Tensor, samples: int, most: int, batch: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Solutions (M, 3, 3) by sample as (*B, most, 3, 3), zeros where there is none, and which slots hold one."""
+    count = torch.bincount(owner, minlength=samples)
+    slot = torch.arange(len(owner), device=M.device) - (count.cumsum(0) - count)[owner]
+    out = M.new_zeros(samples, most, 3, 3)
+    out[owner[slot < most], slot[slot < most]] = M[slot < most]
+    valid = torch.arange(most, device=M.device) < count[:, None]
+    return out.reshape(*batch, most, 3, 3), valid.reshape(*batch, most)
+
+
+def _seven_point_step(F: Tensor, rows: Tensor, valid: Tensor) -> Tensor:
+    """The change of the constant F that Newton's method makes for: seven matches, a zero determinant, a fixed norm."""
+    f = F.flatten(-2)[..., None]
+    minors = cofactors(F)
+    J = torch.cat((rows.detach().expand(*F.shape[:-2], 7, 9), minors.flatten(-2)[..., None, :], f.mT), -2)
+    determinant = (F[..., 0, :] * minors[..., 0, :]).sum(-1)[..., None, None]
+    value = torch.cat((rows @ f, determinant, torch.zeros_like(determinant)), -2)
+    J = torch.where(valid[..., None, None], J, torch.eye(9, dtype=F.dtype, device=F.device))
+    return torch.linalg.solve_ex(J, value)[0].unflatten(-2, (3, 3)).squeeze(-1)
+
+
+def cofactors(A: Tensor) -> Tensor:
+    """(*B, 3, 3) matrix of cofactors: the cross products of the rows."""
+    a, b, c = A.unbind(-2)
+    return torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((b, c), (c, a), (a, b))], -2)
 
 
 def epipolar_rows(x1: Tensor, x2: Tensor) -> Tensor:
