@@ -1,4 +1,4 @@
-"""Corners to a fraction of a pixel: the top of a parabola through the detector's own response.
+"""Corners to a fraction of a pixel: the top of a paraboloid through the detector's own response.
 
 Any other response (say, Harris around FAST corners) has its maximum elsewhere and makes positions worse, as
 ``cv2.cornerSubPix`` does; see docs/benchmarks.md.
@@ -12,9 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-# The centre, its left and right, its upper and lower neighbour: all that two parabolas need.
-_CROSS_X = np.array([0, -1, 1, 0, 0])
-_CROSS_Y = np.array([0, 0, 0, -1, 1])
+_AROUND_Y, _AROUND_X = np.mgrid[-1:2, -1:2]
 
 # Bresenham circle of radius 3, in order (Rosten & Drummond 2006, fig. 1).
 _CIRCLE_X = np.array([0, 1, 2, 3, 3, 3, 2, 1, 0, -1, -2, -3, -3, -3, -2, -1])
@@ -52,11 +50,24 @@ def _best_arc(ring: np.ndarray) -> np.ndarray:
     return np.minimum(eight[:-1], ring[_ARC - 1 :]).max(axis=0)
 
 
-def parabola_top(before: np.ndarray, centre: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Offset in [-½, ½] of the maximum of the parabola through values at -1, 0, 1; 0 where there is no maximum."""
-    curvature = before - 2.0 * centre + after
-    top = np.zeros_like(curvature)
-    np.divide(before - after, 2.0 * curvature, out=top, where=curvature < 0)
+def paraboloid_top(r: np.ndarray) -> np.ndarray:
+    """Where the least-squares paraboloid through 3 x 3 values has its maximum.
+
+    Args:
+        r: (3, 3, N) values, rows (y) first.
+
+    Returns:
+        (N, 2) x, y from the middle, held within [-1/2, 1/2]; 0 where there is no maximum.
+    """
+    g_x, g_y = (r[:, 2] - r[:, 0]).sum(axis=0) / 6, (r[2] - r[0]).sum(axis=0) / 6
+    h_xx = (r[:, 0] - 2 * r[:, 1] + r[:, 2]).sum(axis=0) / 3
+    h_yy = (r[0] - 2 * r[1] + r[2]).sum(axis=0) / 3
+    h_xy = (r[0, 0] - r[0, 2] - r[2, 0] + r[2, 2]) / 4
+    det = h_xx * h_yy - h_xy**2
+    top = np.zeros((r.shape[2], 2))
+    peak = (det > 0) & (h_xx < 0)
+    np.divide(h_xy * g_y - h_yy * g_x, det, out=top[:, 0], where=peak)
+    np.divide(h_xy * g_x - h_xx * g_y, det, out=top[:, 1], where=peak)
     return np.clip(top, -0.5, 0.5)
 
 
@@ -98,9 +109,8 @@ def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 
     inside = np.flatnonzero(((cell >= margin) & (cell < (w - margin, h - margin))).all(axis=1))
     if len(inside):
         x, y = cell[inside].T
-        r = response(grey, x + _CROSS_X[:, None], y + _CROSS_Y[:, None]).astype(np.float64)
-        offset[inside, 0] = parabola_top(r[1], r[0], r[2])
-        offset[inside, 1] = parabola_top(r[3], r[0], r[4])
+        r = response(grey, x + _AROUND_X[..., None], y + _AROUND_Y[..., None])
+        offset[inside] = paraboloid_top(r.astype(np.float64))
     return offset
 
 

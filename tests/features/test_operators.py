@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from sfmkit.errors import InputError, OperatorError
 from sfmkit.features import DESCRIPTORS, DETECTORS, OPERATORS, available, detect, list_operators, operator_spec
 from sfmkit.features import operators as operators_module
-from sfmkit.features.subpixel import fast_score, parabola_top
+from sfmkit.features.subpixel import fast_score, paraboloid_top
 
 HAS_SURF = find_spec("sfmkit.features.surf") is not None
 contrib = cv2.xfeatures2d
@@ -247,12 +247,14 @@ def test_fast_score_is_opencvs(image):
     np.testing.assert_array_equal(score - 1, [k.response for k in keypoints])
 
 
-def test_parabola_top_finds_the_vertex_and_keeps_still_where_there_is_none():
-    vertex = np.array([-0.4, 0.0, 0.3])
-    before, centre, after = (5 - (at - vertex) ** 2 for at in (-1, 0, 1))
-    np.testing.assert_allclose(parabola_top(before, centre, after), vertex, atol=1e-12)
-    np.testing.assert_array_equal(parabola_top(*np.array([[1.0], [1.0], [1.0]])), [0])
-    np.testing.assert_array_equal(parabola_top(*np.array([[3.0], [1.0], [3.0]])), [0])
+def test_paraboloid_top_finds_the_vertex_and_keeps_still_where_there_is_none():
+    y, x = np.mgrid[-1:2, -1:2]
+    vertex = np.array([[-0.4, 0.2], [0.0, 0.0], [0.3, -0.1]])
+    values = [7 - 2 * (x - u) ** 2 - 1.5 * (y - v) ** 2 + 0.8 * (x - u) * (y - v) for u, v in vertex]
+    np.testing.assert_allclose(paraboloid_top(np.stack(values, axis=-1)), vertex, atol=1e-12)
+    flat, valley, saddle = np.ones((3, 3)), 1.0 * x**2 + y**2, 1.0 * x**2 - y**2 + 0.1 * x
+    np.testing.assert_array_equal(paraboloid_top(np.stack([flat, valley, saddle], axis=-1)), 0)
+    np.testing.assert_array_equal(paraboloid_top((5.0 * x - 0.1 * x**2 - y**2)[..., None]), [[0.5, 0]])
 
 
 @pytest.mark.parametrize("name, options", [
