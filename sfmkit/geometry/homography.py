@@ -135,8 +135,9 @@ def _homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     h = H.unsqueeze(-1)
     a, b, c, d = ((h[..., i, j, :] - y[..., i] * h[..., 2, j, :]) / w for i in range(2) for j in range(2))
     r, s = x2[..., 0] - y[..., 0], x2[..., 1] - y[..., 1]
-    uu, uv, vv = 1 + a * a + b * b, a * c + b * d, 1 + c * c + d * d
-    square = (vv * r * r - 2 * uv * r * s + uu * s * s) / (uu * vv - uv * uv)
+    # r^T (I + A A^T)^-1 r as a ratio of sums of squares: nothing cancels.
+    square = r * r + s * s + (c * r - a * s) ** 2 + (d * r - b * s) ** 2
+    square = square / (1 + a * a + b * b + c * c + d * d + (a * d - b * c) ** 2)
     return torch.where(torch.isfinite(square), square, torch.inf)
 
 

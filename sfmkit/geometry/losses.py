@@ -60,7 +60,7 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
     if loss == "marginal":
         u, lower, e = _incomplete_gamma(square * (_U / k2))
         value = (k2 / _U) * _marginal_loss(u, lower, e) / (_GAMMA - _CUT)
-        slope = 1 - lower / (_GAMMA - _CUT)
+        slope = (1 - lower / (_GAMMA - _CUT)).clamp(min=0)
         return LossTerms(value, slope, torch.where(u < _U, -e * (_U / k2) / (_GAMMA - _CUT), 0.0))
     raise InputError(f"loss must be 'squared', 'huber', 'cauchy' or 'marginal', not {loss!r}")
 

@@ -1,0 +1,240 @@
+"""What the robust search needs to know about E, F and H: how to solve samples, score models and improve them.
+
+Scores are computed for blocks of models times matches in float32, on coordinates that are centred and divided by one
+common length, so that distances stay proportional to pixels. A Sampson distance is then two matrix products: the
+residual is linear in the nine entries of F, its squared gradient linear in twelve products of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from ..geometry._five_point import five_point
+from ..geometry.coordinates import _hartley, _normalize, inverse_intrinsics
+from ..geometry.fundamental import (
+    _residual_and_lines,
+    _sampson,
+    cofactors,
+    epipolar_rows,
+    fundamental_8point,
+    seven_point,
+    unit_norm,
+)
+from ..geometry.homography import _four_point, _homography_sampson, homography_dlt
+from ..geometry.lie import hat
+from ..geometry.losses import marginal_weight
+from ..geometry.refinement import _Matches, _matches, _minimise, _Objective
+
+_BLOCK = 1 << 17  # models times matches scored at once: what stays in the cache
+_SEARCH_CELLS = 96
+
+
+def quick_score(v: Tensor) -> Tensor:
+    """(M,) summed scores of the (M, N) squared residuals over the squared threshold; overwrites v.
+
+    ``(1 - v)^7`` follows the marginal score to 0.004 and takes five multiplications.
+    """
+    v.neg_().add_(1).clamp_(min=0)
+    square = v * v
+    v.mul_(square)
+    return (v * square.mul_(square)).sum(-1)
+
+
+class Problem(ABC):
+    """N matches, shuffled once, and one kind of model."""
+
+    sample_size: int
+
+    def __init__(self, x1: Tensor, x2: Tensor, threshold: float, weights: Tensor | None):
+        """
+        Args:
+            x1, x2: (N, 2) pixels, float64, in random order: the first few are a random subset.
+        """
+        self.x1, self.x2, self.threshold, self.weights = x1, x2, threshold, weights
+        self.weights32 = None if weights is None else weights.float()
+        centres = x1.mean(0), x2.mean(0)
+        moved = x1 - centres[0], x2 - centres[1]
+        self.length = max(float(torch.cat(moved).square().mean().sqrt()), 1e-9)
+        self.y1, self.y2 = ((y / self.length).float() for y in moved)
+        self.T1, self.T2 = (_similarity(c, self.length) for c in centres)
+
+    @abstractmethod
+    def solve(self, samples: Tensor) -> Tensor:
+        """(M, 3, 3) models of (B, k) samples."""
+
+    @abstractmethod
+    def squares(self, models: Tensor, upto: int) -> Tensor:
+        """(M, upto) squared distances of the first matches, over the squared threshold, float32."""
+
+    @abstractmethod
+    def exact(self, model: Tensor) -> Tensor:
+        """(N,) squared distances, square pixels, float64."""
+
+    @abstractmethod
+    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
+        """The model after some steps of reweighted fitting to the first matches."""
+
+    def scores(self, models: Tensor, upto: int) -> Tensor:
+        """(M,) mean score per match over the first `upto` matches."""
+        rows = max(1, _BLOCK // upto)
+        out = []
+        for block in models.split(rows):
+            v = self.squares(block, upto)
+            if self.weights32 is None:
+                out.append(quick_score(v))
+            else:
+                v.neg_().add_(1).clamp_(min=0)
+                out.append(v.pow(7) @ self.weights32[:upto])
+        return torch.cat(out) / upto if out else torch.zeros(0, device=self.x1.device)
+
+
+class _Epipolar(Problem):
+    """Shared by E and F: the Sampson distance as two matrix products."""
+
+    def __init__(self, x1: Tensor, x2: Tensor, threshold: float, weights: Tensor | None):
+        super().__init__(x1, x2, threshold, weights)
+        self.products = epipolar_rows(self.y1, self.y2).mT.contiguous()
+        self.quadratics = torch.cat([_quadratics(y) for y in (self.y1, self.y2)])
+
+    @abstractmethod
+    def fundamental(self, models: Tensor) -> Tensor:
+        """(M, 3, 3) F of the centred coordinates."""
+
+    def squares(self, models: Tensor, upto: int) -> Tensor:
+        F = unit_norm(self.fundamental(models)) * (self.length / self.threshold)
+        F = F.float()
+        gradient = torch.cat((_gram(F[:, :2]), _gram(F.mT[:, :2])), 1) * (self.threshold / self.length) ** 2
+        v = F.flatten(1) @ self.products[:, :upto]
+        return v.square_().div_((gradient @ self.quadratics[:, :upto]).clamp_(min=1e-20))
+
+
+def _quadratics(y: Tensor) -> Tensor:
+    u, v = y.unbind(-1)
+    return torch.stack((u * u, v * v, torch.ones_like(u), 2 * u * v, 2 * u, 2 * v))
+
+
+def _gram(rows: Tensor) -> Tensor:
+    """(M, 6) coefficients of ``|rows h|²`` in the monomials of _quadratics; rows (M, 2, 3)."""
+    G = rows.mT @ rows
+    return torch.stack((G[:, 0, 0], G[:, 1, 1], G[:, 2, 2], G[:, 0, 1], G[:, 0, 2], G[:, 1, 2]), 1)
+
+
+def _similarity(centre: Tensor, length: float) -> Tensor:
+    T = torch.eye(3, dtype=centre.dtype, device=centre.device) / length
+    T[2, 2] = 1
+    T[:2, 2] = -centre / length
+    return T
+
+
+class EssentialProblem(_Epipolar):
+    """E by five points; improved by Levenberg-Marquardt on the marginal loss."""
+
+    sample_size = 5
+
+    def __init__(self, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold: float, weights: Tensor | None):
+        super().__init__(x1, x2, threshold, weights)
+        self.xn1, self.xn2 = _normalize(x1, K1), _normalize(x2, K2)
+        self.K1i, self.K2i = inverse_intrinsics(K1), inverse_intrinsics(K2)
+        self.left = (self.K2i @ torch.linalg.inv(self.T2)).mT.contiguous()
+        self.right = self.K1i @ torch.linalg.inv(self.T1)
+        self.matches = _matches(x1, x2, K1, K2, weights)
+
+    def solve(self, samples: Tensor) -> Tensor:
+        E, _ = five_point(self.xn1[samples], self.xn2[samples], _SEARCH_CELLS)
+        return E[E.isfinite().flatten(1).all(1)]
+
+    def fundamental(self, models: Tensor) -> Tensor:
+        return self.left @ models @ self.right
+
+    def exact(self, model: Tensor) -> Tensor:
+        return _sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2
+
+    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
+        m = self.matches
+        w = None if m.weights is None else m.weights[:upto]
+        m = _Matches(m.h1[:, :upto], m.h2[:, :upto], m.S1, m.S2, w)
+        R, t, *_ = _minimise(*one_pose(model), m, _Objective("marginal", self.threshold), steps)
+        return hat(t) @ R
+
+
+def one_pose(E: Tensor) -> tuple[Tensor, Tensor]:
+    """One of the poses of an essential matrix with unit translation, in closed form; R is a rotation to rounding."""
+    a, b, c = E.unbind(-1)
+    crosses = torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((a, b), (b, c), (c, a))], -2)
+    longest = crosses.square().sum(-1).argmax(-1)
+    t = torch.nn.functional.normalize(torch.take_along_dim(crosses, longest[..., None, None], -2).squeeze(-2), dim=-1)
+    R = cofactors(E) - hat(t) @ E
+    for _ in range(2):  # Newton-Schulz: takes out the error of an E slightly off its manifold
+        R = 1.5 * R - 0.5 * R @ R.mT @ R
+    return R, t
+
+
+class FundamentalProblem(_Epipolar):
+    """F by seven points; improved by the eight-point algorithm, reweighted for the marginal loss of Sampson distances."""
+
+    sample_size = 7
+
+    def __init__(self, x1: Tensor, x2: Tensor, threshold: float, weights: Tensor | None):
+        super().__init__(x1, x2, threshold, weights)
+        self.left, self.right = torch.linalg.inv(self.T2).mT.contiguous(), torch.linalg.inv(self.T1)
+
+    def solve(self, samples: Tensor) -> Tensor:
+        (n1, T1), (n2, T2) = _hartley(self.x1[samples]), _hartley(self.x2[samples])
+        F, owner = seven_point(n1, n2)
+        F = unit_norm(T2[owner].mT @ F @ T1[owner])
+        return F[F.isfinite().flatten(1).all(1)]
+
+    def fundamental(self, models: Tensor) -> Tensor:
+        return self.left @ models @ self.right
+
+    def exact(self, model: Tensor) -> Tensor:
+        return _sampson(model, self.x1, self.x2) ** 2
+
+    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
+        x1, x2 = self.x1[:upto], self.x2[:upto]
+        for _ in range(steps):
+            r, gradient = _sampson_parts(model, x1, x2)
+            w = marginal_weight(r * r / gradient, self.threshold) / gradient
+            if self.weights is not None:
+                w = w * self.weights[:upto]
+            if int((w > 0).sum()) < 8:
+                break
+            model = fundamental_8point(x1, x2, w / w.max())
+        return model
+
+
+def _sampson_parts(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
+    """``x2^T F x1`` and the squared length of its gradient by the four coordinates."""
+    r, (a, b), (c, d) = _residual_and_lines(F, x1, x2)
+    return r, (a * a + b * b + c * c + d * d).clamp(min=1e-300)
+
+
+class HomographyProblem(Problem):
+    """H by four points; improved by the DLT, reweighted for the marginal loss of Sampson distances."""
+
+    sample_size = 4
+
+    def solve(self, samples: Tensor) -> Tensor:
+        H = _four_point(self.x1[samples], self.x2[samples])
+        return H[H.flatten(1).abs().amax(1) > 0]
+
+    def squares(self, models: Tensor, upto: int) -> Tensor:
+        H = (self.T2 @ models @ torch.linalg.inv(self.T1)).float()
+        return _homography_sampson(H, self.y1[:upto], self.y2[:upto]) * (self.length / self.threshold) ** 2
+
+    def exact(self, model: Tensor) -> Tensor:
+        return _homography_sampson(model, self.x1, self.x2)
+
+    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
+        x1, x2 = self.x1[:upto], self.x2[:upto]
+        for _ in range(steps):
+            w = marginal_weight(_homography_sampson(model, x1, x2), self.threshold)
+            if self.weights is not None:
+                w = w * self.weights[:upto]
+            if int((w > 0).sum()) < 4:
+                break
+            model = homography_dlt(x1, x2, w)
+        return model

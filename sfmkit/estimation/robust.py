@@ -1,0 +1,227 @@
+"""Robust estimation in torch: E, F and H from matches of which many are wrong. CPU and CUDA.
+
+Rounds of minimal samples, all solved at once; every model is scored on a random subset of the matches, the best few on
+all; a new best is improved locally and scored again. Scores are marginal over the noise level up to the threshold
+(MAGSAC++, see :mod:`sfmkit.geometry.losses`). The search ends when a better model has been missed with a probability
+below one minus the confidence.
+
+Source: Barath et al., MAGSAC++, CVPR 2020 (score); Chum, Matas & Kittler, Locally optimized RANSAC, 2003; Chum & Matas,
+PROSAC, CVPR 2005; Nister, Preemptive RANSAC, ICCV 2003 (subsets).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ..geometry._checks import check_intrinsics, check_points
+from ..geometry.fundamental import fundamental_from_essential, sampson_distance
+from ..geometry.losses import marginal_score
+from ._problems import EssentialProblem, FundamentalProblem, HomographyProblem, Problem
+from ._sampling import Sampler
+from .result import Improvement, RobustModel
+
+METHODS = ("magsac",)
+
+_ROUND = (64, 256)  # minimal samples in the first and in every later round
+_SUBSET = 768  # matches that every model is scored on
+_SHORTLIST = 16  # models scored on all matches
+_LOCAL = 2048  # matches that a new best model is fitted to while the search goes on
+_LOCAL_STEPS, _FINAL_STEPS = 3, 12
+
+
+def estimate_essential(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    *,
+    threshold_px: float = 1.0,
+    method: str = "magsac",
+    confidence: float = 0.9999,
+    max_iterations: int = 10_000,
+    seed: int = 0,
+    weights: Tensor | None = None,
+    ratio: Tensor | None = None,
+    groups: Tensor | None = None,
+) -> RobustModel:
+    """Essential matrix ``xn2^T E xn1 = 0`` that the matches support best.
+
+    Args:
+        x1, x2: (N, 2) undistorted pixels, float32 or float64.
+        K1, K2: (3, 3).
+        threshold_px: Sampson distance beyond which a match does not count, pixels.
+        method: ``magsac`` is the only one.
+        confidence: stop when a better model was missed with a probability below 1 - confidence.
+        max_iterations: minimal samples at most.
+        seed: the same seed gives the same bits on the same machine.
+        weights: (N,) not negative: how much a match counts, in the score, the fit and the sampling.
+        ratio: (N,) distance ratios; samples are drawn from the smallest first.
+        groups: (N,) int64, such as the operator of each match: groups that turn out to hold more inliers are drawn more.
+
+    Returns:
+        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6 matches, or none was found.
+
+    Raises:
+        InputError: shapes, dtypes, NaN, an unknown method.
+    """
+    check_intrinsics(x1, K1=K1, K2=K2)
+    _check(x1, x2, method, threshold_px, weights, ratio, groups)
+    K1, K2 = K1.detach().double(), K2.detach().double()
+    return _search(
+        lambda a, b, w: EssentialProblem(a, b, K1, K2, threshold_px, w),
+        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=6,
+    )  # fmt: skip
+
+
+def estimate_fundamental(
+    x1: Tensor,
+    x2: Tensor,
+    *,
+    threshold_px: float = 1.0,
+    method: str = "magsac",
+    confidence: float = 0.9999,
+    max_iterations: int = 10_000,
+    seed: int = 0,
+    weights: Tensor | None = None,
+    ratio: Tensor | None = None,
+    groups: Tensor | None = None,
+) -> RobustModel:
+    """Fundamental matrix ``x2^T F x1 = 0``, pixels; arguments as for :func:`estimate_essential`.
+
+    No model when there are fewer than 8 matches. On a scene with a dominant plane F is not determined, and what is
+    returned may fit the plane only: E, from known cameras, does not have that weakness.
+    """
+    _check(x1, x2, method, threshold_px, weights, ratio, groups)
+    return _search(
+        lambda a, b, w: FundamentalProblem(a, b, threshold_px, w),
+        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=8,
+    )  # fmt: skip
+
+
+def estimate_homography(
+    x1: Tensor,
+    x2: Tensor,
+    *,
+    threshold_px: float = 1.0,
+    method: str = "magsac",
+    confidence: float = 0.9999,
+    max_iterations: int = 10_000,
+    seed: int = 0,
+    weights: Tensor | None = None,
+    ratio: Tensor | None = None,
+    groups: Tensor | None = None,
+) -> RobustModel:
+    """Homography ``x2 = H x1``, pixels; arguments as for :func:`estimate_essential`.
+
+    No model when there are fewer than 5 matches.
+    """
+    _check(x1, x2, method, threshold_px, weights, ratio, groups)
+    return _search(
+        lambda a, b, w: HomographyProblem(a, b, threshold_px, w),
+        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=5,
+    )  # fmt: skip
+
+
+def essential_score(
+    E: Tensor, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold_px: float, weights: Tensor | None = None
+) -> Tensor:
+    """Summed marginal score of E (*B, 3, 3) over matches (*B, N, 2), weighted; differentiable in everything.
+
+    What :func:`estimate_essential` maximises. Between 0 and the sum of the weights.
+    """
+    square = sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2
+    score = marginal_score(square, threshold_px)
+    return (score if weights is None else weights * score).sum(-1)
+
+
+def _check(
+    x1: Tensor,
+    x2: Tensor,
+    method: str,
+    threshold_px: float,
+    weights: Tensor | None,
+    ratio: Tensor | None,
+    groups: Tensor | None,
+) -> None:
+    check_points(0, weights, x1=x1, x2=x2)
+    if x1.ndim != 2:
+        raise InputError(f"robust estimation takes one set of matches (N, 2), not {tuple(x1.shape)}")
+    if method not in METHODS:
+        raise InputError(f"the torch back end has no method {method!r}; it has {', '.join(METHODS)}")
+    if not threshold_px > 0:
+        raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
+    for name, a in (("ratio", ratio), ("groups", groups)):
+        if a is not None and a.shape != x1.shape[:1]:
+            raise InputError(f"{name} must have shape ({len(x1)},), one for each match, not {tuple(a.shape)}")
+
+
+def _search(
+    make, x1: Tensor, x2: Tensor, weights: Tensor | None, ratio: Tensor | None, groups: Tensor | None,
+    threshold: float, confidence: float, max_iterations: int, seed: int, minimum: int,
+) -> RobustModel:  # fmt: skip
+    n = len(x1)
+    if n < minimum:
+        return RobustModel.failed(n, device=x1.device)
+    generator = torch.Generator().manual_seed(seed)
+    shuffle = torch.randperm(n, generator=generator)
+
+    def shuffled(a: Tensor | None) -> Tensor | None:
+        return None if a is None else a.detach()[shuffle.to(a.device)]
+
+    weights = shuffled(weights)
+    problem = make(shuffled(x1).double(), shuffled(x2).double(), None if weights is None else weights.double())  # type: ignore[union-attr]
+    sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio))
+    best, iterations, history = _explore(problem, sampler, shuffled(groups), confidence, max_iterations)
+    if best is None:
+        return RobustModel.failed(n, iterations, x1.device)
+    best = problem.improve(best, n, _FINAL_STEPS)
+    square = problem.exact(best)
+    score = marginal_score(square, threshold)
+    score = score if problem.weights is None else problem.weights * score
+    if not math.isfinite(float(score.sum())) or float(score.sum()) <= 0:
+        return RobustModel.failed(n, iterations, x1.device)
+    agree = square < threshold**2
+    inliers = torch.empty_like(agree)
+    inliers[shuffle.to(agree.device)] = agree
+    last = Improvement(iterations, best, int(agree.sum()), float(score.mean()), "refinement")
+    return RobustModel(best, inliers, float(score.sum()), iterations, (*history, last))
+
+
+def _explore(
+    problem: Problem, sampler: Sampler, groups: Tensor | None, confidence: float, max_iterations: int
+) -> tuple[Tensor | None, int, list[Improvement]]:
+    """The best model of the search, the samples it took, and how the best improved."""
+    n = len(problem.x1)
+    subset, local = min(_SUBSET, n), min(_LOCAL, n)
+    best: Tensor | None = None
+    best_score, iterations = 0.0, 0
+    inliers = torch.zeros(n, dtype=torch.bool, device=problem.x1.device)
+    history: list[Improvement] = []
+    while iterations < max_iterations:
+        count = min(_ROUND[min(len(sampler.rounds), 1)], max_iterations - iterations)
+        models = problem.solve(sampler.draw(count).to(problem.x1.device))
+        iterations += count
+        if len(models):
+            first = problem.scores(models, subset)
+            shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
+            scores = problem.scores(shortlist, n)
+            top = int(scores.argmax())
+            if float(scores[top]) > best_score:
+                for stage in ("sample", "local optimisation"):
+                    model = (
+                        shortlist[top] if stage == "sample" else problem.improve(shortlist[top], local, _LOCAL_STEPS)
+                    )
+                    score = float(problem.scores(model[None], n)[0])
+                    if score > best_score:
+                        best, best_score = model, score
+                        inliers = problem.squares(model[None], n)[0] < 1
+                        history.append(Improvement(iterations, model, int(inliers.sum()), score, stage))
+        if groups is not None and best is not None:
+            sampler.learn(groups, inliers, problem.weights)
+        if sampler.log_missed(inliers) < math.log1p(-confidence):
+            break
+    return best, iterations, history
