@@ -62,16 +62,16 @@ def brick(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
     n = _noise(u + 7 * r[:, 0], v + 7 * r[:, 3], footprint, 1.3)
     patch, streak = _noise(u, v, footprint, 5.1), _noise(u, 0.13 * v, footprint, 1.9)
     clay = CLAY.take((r[:, 0] * len(CLAY)).astype(int), axis=0)
-    clay = tone(clay, 0.5 * (r[:, 3] - 0.5) + 0.22 * n[:, FINE] + 0.14 * n[:, GRAIN] + 0.16 * n[:, RELIEF])
+    clay = tone(clay, 0.5 * (r[:, 3] - 0.5) + 0.18 * n[:, FINE] + 0.08 * n[:, GRAIN] + 0.09 * n[:, RELIEF])
     clay = mix(clay, linear("#38302d")[None], 0.85 * ramp(n[:, FINE] - 0.3 * n[:, GRAIN], 1.7, 0.3))  # burnt spots
-    clay = mix(clay, linear("#d8cdbd")[None], 0.5 * ramp(n[:, BROAD] + 0.5 * n[:, GRAIN], 1.8, 0.9))  # salts
+    clay = mix(clay, linear("#d8cdbd")[None], 0.4 * ramp(n[:, BROAD] + 0.2 * n[:, GRAIN], 1.8, 1.2))  # salts
     fine = _noise(u, v, footprint, 0.9)
-    mortar = tone(MORTAR_COLOUR[None], 0.25 * fine[:, FINE] + 0.2 * fine[:, GRAIN] - 0.15)
+    mortar = tone(MORTAR_COLOUR[None], 0.2 * fine[:, FINE] + 0.1 * fine[:, GRAIN] - 0.15)
     wander = 0.0018 * fine[:, GRAIN] + 0.0012 * fine[:, FINE]
     albedo = mix(mortar, clay, ramp(edge + wander, MORTAR / 2, np.maximum(0.003, footprint)))
     lime = tone(linear("#ddd3bf")[None], 0.1 * fine[:, FINE] + 0.06 * fine[:, GRAIN])
-    lime_at = patch[:, FINE] + 0.25 * fine[:, FINE] + 0.1 * (row % 2)
-    albedo = mix(albedo, lime, 0.8 * ramp(lime_at, 1.45, 0.12))
+    lime_at = patch[:, BROAD] + 0.45 * patch[:, FINE] + 0.16 * fine[:, FINE] + 0.1 * (row % 2)
+    albedo = mix(albedo, lime, 0.8 * ramp(lime_at, 1.75, 0.16))
     albedo = tone(albedo, 0.16 * patch[:, BROAD] - 0.35 * ramp(streak[:, FINE], 1.0, 1.5))
     return albedo, None
 
@@ -138,7 +138,7 @@ def cobbles(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
     n = _noise(u + 3 * r[:, 0], v + 3 * r[:, 1], footprint, 0.9)
     broad = _noise(u, v, footprint, 4.3)
     warm, cold = linear("#938372"), linear("#6c6f74")
-    rock = tone(mix(warm[None], cold[None], r[:, 2]), 0.7 * (r[:, 3] - 0.5) + 0.25 * n[:, FINE] + 0.15 * n[:, GRAIN])
+    rock = tone(mix(warm[None], cold[None], r[:, 2]), 0.7 * (r[:, 3] - 0.5) + 0.22 * n[:, FINE] + 0.09 * n[:, GRAIN])
     rock = mix(rock, linear("#cfc4b4")[None], 0.5 * ramp(n[:, FINE], 1.6, 0.4))  # quartz
     sand = tone(linear("#6d5b45")[None], 0.3 * n[:, GRAIN] + 0.2 * broad[:, FINE])
     moss = tone(linear("#4b5a2c")[None], 0.4 * n[:, GRAIN])

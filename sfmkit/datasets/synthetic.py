@@ -30,7 +30,7 @@ from .textures import srgb
 
 GAIN = 0.68  # of the sensor at exposure 1: the brightest matt surface in the sun stays below white
 OCCLUSION_TOLERANCE = 1e-6  # relative difference of depth
-DEMO = {"scene": "courtyard", "size_wh": (1600, 1200), "blur": 0.5, "noise": 1.5, "jpeg_quality": 92, "seed": 0}
+DEMO = {"scene": "courtyard", "size_wh": (1600, 1200), "blur": 0.8, "noise": 1.2, "jpeg_quality": 92, "seed": 0}
 
 
 @dataclass(frozen=True, eq=False)
