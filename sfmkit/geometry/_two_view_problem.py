@@ -99,6 +99,12 @@ class Problem:
             return self.scale / s.clamp_min(self.scale**2).sqrt()
         return 1 / (1 + s / self.scale**2) if self.loss == "cauchy" else torch.ones_like(s)
 
+    def curvature(self, s: Tensor) -> Tensor:
+        """The loss's second derivative along the residual over its slope, (*B, N): 1 for squares, 0 or less far out."""
+        if self.loss == "huber":
+            return (s <= self.scale**2).to(s.dtype)
+        return (self.scale**2 - s) / (self.scale**2 + s) if self.loss == "cauchy" else torch.ones_like(s)
+
 
 class Linearised(NamedTuple):
     """The Gauss-Newton system at a state; the last of the size + 1 columns of J and Z belongs to the residual."""
@@ -219,7 +225,7 @@ def linearise(state: State, problem: Problem, damping: Tensor | None = None) -> 
     flat = Z.flatten(-2)
     reduced = H - flat @ flat.mT
     m = problem.size
-    return Linearised(reduced[..., :m, :m], reduced[..., :m, m], Z, L, H)
+    return Linearised(reduced[..., :m, :m], reduced[..., :m, m], Z, L, H[..., :m, :m])
 
 
 def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:

@@ -1,0 +1,133 @@
+"""How sure a pose and its points are: covariances from the Jacobians at the minimum, the noise from the residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..errors import DegenerateGeometryError
+from ._two_view_problem import Linearised, Problem, State, linearise, residuals
+from .bundle import TwoViewBundle
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Covariances to first order in the noise.
+
+    Attributes:
+        pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2 (truth =
+            ``exp(omega) R``), and translation direction, radians, along the two columns of ``tangent_basis(t)``. Free
+            focal lengths are marginalised.
+        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of the pose included.
+        sigma_px: ``(*B,)`` standard deviation of one pixel coordinate of unit weight, estimated.
+        degrees_of_freedom: ``(*B,)`` matches in excess of the unknowns: what `sigma_px` rests on.
+    """
+
+    pose: Tensor
+    points: Tensor
+    sigma_px: Tensor
+    degrees_of_freedom: Tensor
+
+    @property
+    def sigma_deg(self) -> Tensor:
+        """``(*B, 2)`` degrees: see :func:`sigma_degrees`."""
+        return sigma_degrees(self.pose)
+
+
+def covariance(bundle: TwoViewBundle) -> Uncertainty:
+    """The covariance of the pose and of every point at the minimum that :func:`bundle_adjust` found.
+
+    A match has four coordinates and its point three unknowns, so each match leaves one residual, and N matches leave
+    ``N - 5`` degrees of freedom (fewer with free focal lengths) to estimate the noise from. Calibrated for Gaussian noise
+    of one size (times the weights) as long as the noise is small against what the geometry can bear: a point whose depth
+    is known to worse than a fifth has an error that no ellipsoid describes. If matches were dropped because of their
+    residuals, the noise is underestimated. With a robust loss the noise follows Huber's correction for M-estimators.
+
+    Raises:
+        DegenerateGeometryError: with no more matches than unknowns, or where they leave the pose undetermined.
+
+    Source: Hartley and Zisserman, 2nd ed., section 5.2 and appendix A6.3; Huber, Robust statistics, 1981, section 7.6.
+    """
+    state = bundle.state()
+    problem = bundle.problem()
+    variance, dof = _noise(state, problem)
+    system = linearise(state, replace(problem, loss="squared"))
+    root, failed = torch.linalg.cholesky_ex(system.S)
+    # A pose direction is undetermined when next to nothing of its information survives the elimination of the points.
+    information = root.diagonal(dim1=-2, dim2=-1) ** 2 / system.H.diagonal(dim1=-2, dim2=-1)
+    if bool((failed > 0).any()) or bool((information < _UNDETERMINED).any()):
+        raise DegenerateGeometryError(
+            "these matches do not determine the pose: its covariance is infinite in some direction. A plane seen almost "
+            "head-on, points on the baseline or a handful of coinciding matches do this; add matches elsewhere.",
+            matches=problem.x1.shape[-2],
+        )
+    inverse = torch.cholesky_inverse(root)
+    kind = bundle.R.dtype
+    return Uncertainty(
+        (variance[..., None, None] * inverse[..., :5, :5]).to(kind),
+        (variance[..., None, None, None] * _point_covariance(state, system, root)).to(kind),
+        variance.sqrt().to(kind),
+        dof,
+    )
+
+
+_UNDETERMINED = 1e-13
+
+
+def sigma_degrees(pose_covariance: Tensor) -> Tensor:
+    """Root-mean-square angular error of rotation and of translation direction, ``(*B, 2)`` degrees, from ``(*B, 5, 5)``.
+
+    The square root of the trace of each block: directly comparable with :func:`rotation_error` and
+    :func:`translation_error`.
+    """
+    variances = pose_covariance.diagonal(dim1=-2, dim2=-1)
+    return torch.rad2deg(torch.stack((variances[..., :3].sum(-1), variances[..., 3:].sum(-1)), -1).sqrt())
+
+
+def _noise(state: State, problem: Problem) -> tuple[Tensor, Tensor]:
+    """The variance of a coordinate of unit weight, and the degrees of freedom it was estimated with."""
+    r1, r2 = residuals(state, problem)
+    s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
+    used = problem.weights > 0
+    matches = used.sum(-1)
+    dof = matches - problem.size
+    if bool((dof <= 0).any()):
+        raise DegenerateGeometryError(
+            f"{int(matches.min())} matches and {problem.size} camera unknowns leave nothing to estimate the noise from",
+            matches=int(matches.min()),
+            needed=problem.size + 1,
+        )
+    slope = problem.slope(s)
+    variance = (problem.weights * slope**2 * s).sum(-1) / dof
+    share = (used * slope * problem.curvature(s)).sum(-1) / matches
+    return variance / share.clamp_min(0.1) ** 2, dof
+
+
+def _point_covariance(state: State, system: Linearised, root: Tensor) -> Tensor:
+    """Marginal covariance ``(*B, N, 3, 3)`` of the points for unit noise.
+
+    ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: what the two rays leave open, and what an
+    uncertain pose adds.
+    """
+    u, v, w = state.y
+    l00, l10, l11, l20, l21, l22 = system.L
+    # L^-T is upper triangular: a b c / . d e / . . f.
+    a, d, f = 1 / l00, 1 / l11, 1 / l22
+    b, e = -l10 * a * d, -l21 * d * f
+    c = (l10 * l21 * d - l20) * a * f
+    x, y, z = u / w, v / w, 1 / w  # X = (u, v, 1) / rho
+    zero = torch.zeros_like(a)
+    M = torch.stack(
+        (
+            torch.stack((a * z, b * z, (c - x * f) * z), -1),
+            torch.stack((zero, d * z, (e - y * f) * z), -1),
+            torch.stack((zero, zero, -f * z * z), -1),
+        ),
+        -2,
+    )
+    Z = system.Z[..., :-1, :, :].movedim(-1, -3)  # (*B, N, m, 3)
+    W = torch.linalg.solve_triangular(root[..., None, :, :], Z, upper=False).mT
+    MW = M @ W
+    return M @ M.mT + MW @ MW.mT
