@@ -144,17 +144,11 @@ def run_reconstruct(
         raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
     with progress(enabled=not quiet and not as_json) as say:
         say("start", "loading libraries")
-        from .cameras import parse_intrinsics, read_truth
-        from .images import read_image
+        from .cameras import read_truth
         from .options import PRESETS
         from .outputs import write_outputs
         from .pipeline import reconstruct as run
 
-        images = (read_image(image1), read_image(image2))
-        cameras = [
-            None if text is None else parse_intrinsics(text, image.size_wh)
-            for text, image in zip((intrinsics, intrinsics2 or intrinsics), images)
-        ]
         pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
         options = PRESETS[preset]
         options = replace(
@@ -163,7 +157,15 @@ def run_reconstruct(
             detect=replace(options.detect, **detect),
         )
         result = run(
-            *images, cameras[0], operators, camera2=cameras[1], options=options, seed=seed, truth=pose, progress=say
+            image1,
+            image2,
+            intrinsics,
+            operators,
+            camera2=intrinsics2,
+            options=options,
+            seed=seed,
+            truth=pose,
+            progress=say,
         )
         say("write", str(out))
         report = write_outputs(result, out, overwrite=overwrite, colmap=colmap, recording=rrd)

@@ -115,7 +115,7 @@ PAPER = Options(
     detect=DetectOptions(preset="paper"),
     fuse=FuseOptions(merge_radius=None),
     estimate=EstimateOptions(
-        model="fundamental", backend="opencv", method="ransac", threshold_px=3.0, confidence=0.99, refine=False
+        model="fundamental", backend="opencv", method="ransac", threshold_px=3.0, confidence=0.999999, refine=False
     ),
     triangulate=TriangulateOptions(method="dlt"),
 )

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from .account import OperatorAccount, make_account
-from .cameras import camera_from_exif
+from .cameras import camera_from_exif, parse_intrinsics
 from .errors import CameraError, InputError, OperatorError
-from .estimation import estimate_homography_model, estimate_two_view, undistorted_pixels
+from .estimation import estimate_two_view, undistorted_pixels
 from .features import detect
 from .fusion import fuse
 from .geometry.coordinates import normalize
@@ -36,6 +36,7 @@ from .types import Camera, Correspondences, Features, Matches, PointCloud, TwoVi
 OPERATORS_OF_THE_PAPER = ("surf", "orb", "fast-brief")
 
 ImageLike = Image | np.ndarray | str | PathLike
+CameraLike = Camera | np.ndarray | str | PathLike
 FeaturePairs = Mapping[str, tuple[Features, Features]]
 Progress = Callable[[str, str], None]  # stage, what is being done
 
@@ -108,10 +109,10 @@ class Stopwatch:
 def reconstruct(
     image1: ImageLike,
     image2: ImageLike,
-    camera: Camera | None = None,
+    camera: CameraLike | None = None,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
     *,
-    camera2: Camera | None = None,
+    camera2: CameraLike | None = None,
     options: Options = DEFAULT,
     seed: int = 0,
     truth: tuple[np.ndarray, np.ndarray] | None = None,
@@ -121,7 +122,8 @@ def reconstruct(
 
     Args:
         image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
-        camera: intrinsics of image 1, and of image 2 unless `camera2` is given; None reads them from EXIF.
+        camera: intrinsics of image 1, and of image 2 unless `camera2` is given: a :class:`Camera`, a (3, 3) K, or what
+            :func:`sfmkit.cameras.parse_intrinsics` takes (a file, ``fx,fy,cx,cy``); None reads them from EXIF.
         operators: names of operators (see ``sfmkit operators``), or ``detector+descriptor``.
         options: :data:`sfmkit.options.DEFAULT` or :data:`sfmkit.options.PAPER`, or your own.
         seed: the same seed gives the same result on the same machine.
@@ -169,18 +171,19 @@ def reconstruct(
     )
 
 
-def choose_cameras(images: tuple[Image, Image], camera: Camera | None, camera2: Camera | None) -> tuple[Camera, Camera]:
+def choose_cameras(
+    images: tuple[Image, Image], camera: CameraLike | None, camera2: CameraLike | None = None
+) -> tuple[Camera, Camera]:
     """The cameras of both images: as given, or from EXIF; checked against the images' sizes.
 
     Raises:
-        CameraError: when a camera is for another size than its image.
+        CameraError: no camera can have these intrinsics, or they are for another size than the image.
     """
-    first = camera if camera is not None else camera_from_exif(images[0])
-    if camera2 is None:
-        camera2 = camera if camera is not None and images[0].size_wh == images[1].size_wh else None
+    first = _camera(camera, images[0])
     if camera2 is None and camera is not None:
-        camera2 = _same_lens(camera, images[1])
-    second = camera2 if camera2 is not None else camera_from_exif(images[1])
+        second = first if images[0].size_wh == images[1].size_wh else _same_lens(first, images[1])
+    else:
+        second = _camera(camera2, images[1])
     for number, (cam, image) in enumerate(zip((first, second), images), start=1):
         if cam.size_wh != image.size_wh:
             raise CameraError(
@@ -188,6 +191,16 @@ def choose_cameras(images: tuple[Image, Image], camera: Camera | None, camera2: 
                 f"{image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it was resized"
             )
     return first, second
+
+
+def _camera(camera: CameraLike | None, image: Image) -> Camera:
+    if camera is None:
+        return camera_from_exif(image)
+    if isinstance(camera, Camera):
+        return camera
+    if isinstance(camera, np.ndarray):
+        return Camera(camera, image.size_wh)
+    return parse_intrinsics(camera, image.size_wh)
 
 
 def _same_lens(camera: Camera, image: Image) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -11,7 +12,12 @@ from torch import Tensor
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.distortion import undistort
 from ..geometry.essential import decompose_essential, essential_from_fundamental, essential_from_pose
-from ..geometry.fundamental import fundamental_from_essential, sampson_distance
+from ..geometry.fundamental import (
+    fundamental_8point,
+    fundamental_from_essential,
+    fundamental_from_pose,
+    sampson_distance,
+)
 from ..geometry.homography import decompose_homography
 from ..geometry.pose import cheirality, choose_pose, rotation_error, translation_error
 from ..geometry.refinement import refine_essential
@@ -106,7 +112,12 @@ def estimate_two_view(
         seed=seed,
         max_iterations=PLANE_ITERATIONS,
     )
-    judgement = judge(x1, x2, K1, K2, F, inliers, plane.model, options.threshold_px, seed)
+    # The competing explanations are compared at their best: a carelessly fitted F would lose to a plane.
+    F_best, inliers_best = F, inliers
+    if not options.refine:
+        F_best = fundamental_from_pose(*refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose, K1, K2)
+        inliers_best = sampson_distance(F_best, x1, x2).abs() < options.threshold_px
+    judgement = judge(x1, x2, K1, K2, F_best, inliers_best, plane.model, options.threshold_px, seed)
     if judgement.verdict is Verdict.TOO_LITTLE:
         return too_little(judgement.reason, judgement.evidence)
     if judgement.rotation is not None:
@@ -158,7 +169,7 @@ def planar_poses(
         if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < 0.9:
             continue
         R, t = refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose
-        e = sampson_distance(fundamental_from_essential(essential_from_pose(R, t), K1, K2), x1, x2)
+        e = sampson_distance(fundamental_from_pose(R, t, K1, K2), x1, x2)
         cost = float(e.square().clamp(max=threshold_px**2).sum())
         if all(float(rotation_error(R, Q) + translation_error(t, u)) > 0.5 for _, Q, u in seen):
             seen.append((cost, R, t))
@@ -179,8 +190,25 @@ def robust_fit(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: Estimate
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":
-        return engine.estimate_fundamental(x1, x2, **settings)
+        return refit_8point(engine.estimate_fundamental(x1, x2, **settings), x1, x2, options.threshold_px)
     return engine.estimate_essential(x1, x2, K1, K2, **settings)
+
+
+def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) -> RobustModel:
+    """The normalised eight-point F of all inliers, and its inliers: RANSAC's last step (Hartley & Zisserman, alg. 11.4).
+
+    The best sample alone is a lottery over the order of the matches: it may pass every inlier test and still turn the
+    translation by degrees.
+    """
+    if fit.model is None or int(fit.inliers.sum()) < MIN_MATCHES:
+        return fit
+    F, inliers = fit.model, fit.inliers
+    for _ in range(2):
+        F = fundamental_8point(x1[inliers], x2[inliers])
+        inliers = sampson_distance(F, x1, x2).abs() < threshold_px
+    if int(inliers.sum()) < int(fit.inliers.sum()) // 2:
+        return fit
+    return replace(fit, model=F, inliers=inliers)
 
 
 def pose_of(E: Tensor, xn1: Tensor, xn2: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
