@@ -74,7 +74,7 @@ def make_result(
                     "hamming",
                     name,
                     size_wh,
-                )  # fmt: skip
+                )
             )
         features[name] = (pair[0], pair[1])
         both = np.arange(len(rows))

@@ -13,17 +13,20 @@ if TYPE_CHECKING:
 _UP = (0, -1, 0)  # the frame of camera 1 has y down
 
 
-def default_blueprint(result: Reconstruction, prefix: str = "") -> rrb.Blueprint:
+def default_blueprint(result: Reconstruction, prefix: str = "", *, history: bool = False) -> rrb.Blueprint:
     """Pages *Overview*, *Keypoints*, *Matches*, *Epipolar geometry*, *Cloud* and *Account*.
 
     Made for 1280 x 800 and more. Views of what the result does not have (no cloud, no covariance) are left out.
+
+    Args:
+        history: whether the improvements of the robust estimator were logged.
     """
     p = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
     pages = [
         _overview(result, p),
         _keypoints(result, p),
         _matches(result, p),
-        _epipolar(result, p),
+        _epipolar(result, p, history),
         *([_cloud(result, p)] if result.cloud is not None else []),
         _account(p),
     ]
@@ -46,7 +49,7 @@ def _image(result: Reconstruction, p: str, number: int, name: str, *what: str) -
     )  # fmt: skip
 
 
-def _space(result: Reconstruction, p: str, name: str, *what: str) -> rrb.Spatial3DView:
+def _space(result: Reconstruction, p: str, name: str, *what: str, back: float = 1.0) -> rrb.Spatial3DView:
     """The scene seen from behind and above the cameras."""
     world = f"{p}/world"
     cameras = [f"{world}/cam{i}{rest}" for i in (1, 2) for rest in ("", "/image", "/image/photo")]
@@ -54,10 +57,9 @@ def _space(result: Reconstruction, p: str, name: str, *what: str) -> rrb.Spatial
     target = np.array([0, 0, 4.0])
     if cloud is not None and len(cloud):
         target = np.median(cloud.xyz.numpy(), axis=0)
+    # Behind the cameras, above and to their right; what is looked at lies between them and the scene.
     depth = float(np.linalg.norm(target))
-    eye = rrb.EyeControls3D(
-        position=0.25 * target + depth * np.array([0.35, -0.4, -0.45]), look_target=0.7 * target, eye_up=_UP
-    )
+    eye = rrb.EyeControls3D(position=back * depth * np.array([0.4, -0.35, -0.4]), look_target=0.65 * target, eye_up=_UP)
     return rrb.Spatial3DView(
         origin=world, contents=[world, *cameras, *(f"{world}/{e}" for e in what)], name=name, eye_controls=eye,
         line_grid=False,
@@ -89,7 +91,7 @@ def _overview(result: Reconstruction, p: str) -> rrb.Horizontal:
             _image(result, p, 1, "Image 1: what is left at this stage", *seen),
             _image(result, p, 2, "Image 2: what is left at this stage", *seen),
             rrb.TextDocumentView(origin=f"{p}/story", name="Stage"),
-            row_shares=[3, 3, 2],
+            row_shares=[9, 9, 5],
         ),
         column_shares=[3, 2],
         name="Overview",
@@ -113,15 +115,20 @@ def _matches(result: Reconstruction, p: str) -> rrb.Grid:
     )
 
 
-def _epipolar(result: Reconstruction, p: str) -> rrb.Vertical:
+def _epipolar(result: Reconstruction, p: str, history: bool) -> rrb.Vertical:
     what = ("epipolar/**", "epipole", "homography")
+    charts = [
+        rrb.BarChartView(origin=f"{p}/estimation/improvements", name="Inliers, improvement by improvement"),
+        rrb.TimeSeriesView(origin=f"{p}/estimation", name="On the timeline iteration"),
+    ]
     return rrb.Vertical(
         rrb.Horizontal(*(_image(result, p, i, f"Image {i}: epipolar lines", *what) for i in (1, 2))),
         rrb.Horizontal(
-            _space(result, p, "Four poses: points in front", "poses/**", "points/photograph"),
+            _space(result, p, "Four poses: points in front", "poses/**", "points/photograph", back=1.6),
             rrb.Tabs(
-                rrb.BarChartView(origin=f"{p}/estimation/improvements", name="Inliers, improvement by improvement"),
-                rrb.TimeSeriesView(origin=f"{p}/estimation", name="On the timeline iteration"),
+                *(charts if history else []),
+                rrb.TextDocumentView(origin=f"{p}/verdict", name="Verdict and evidence"),
+                active_tab=0,
             ),
         ),
         name="Epipolar geometry",
@@ -147,7 +154,7 @@ def _account(p: str) -> rrb.Horizontal:
         rrb.Vertical(
             rrb.BarChartView(
                 origin=f"{p}/account/chart",
-                name="Keypoints, matches, fused, inliers, points",
+                name="Keypoints of image 1, matches, fused, inliers, points",
                 plot_legend=rrb.PlotLegend(visible=True),
             ),
             rrb.BarChartView(origin=f"{p}/timings", name="Seconds", plot_legend=rrb.PlotLegend(visible=True)),

@@ -36,6 +36,8 @@ def log_history(
 ) -> None:
     """How the robust estimate improved, on the timeline ``iteration``: counts, and lines swinging into place.
 
+    The timeline counts improvements: several may have come of the same number of samples, which are logged beside them.
+
     Args:
         history: :attr:`sfmkit.estimation.RobustModel.history`.
         kind: what its models are: ``essential`` (normalised coordinates) or ``fundamental`` (pixels).
@@ -47,10 +49,17 @@ def log_history(
     rows = marks.spread(corr.x1.numpy(), sample)
     for quantity, name in (("inliers", "inliers"), ("score", "mean score a match")):
         put(rec, prefix, f"estimation/{quantity}", rr.SeriesLines(names=name, interpolation_mode="StepAfter"))
-    for step in history:
-        rec.set_time("iteration", sequence=step.iteration)
+    for number, step in enumerate(history):
+        rec.set_time("iteration", sequence=number)
         F = step.model if kind == "fundamental" else fundamental_from_essential(step.model, K1, K2)
-        put(rec, prefix, "estimation/inliers", rr.Scalars(step.inliers), columns(step=[step.stage]), stage="estimate")
+        put(
+            rec,
+            prefix,
+            "estimation/inliers",
+            rr.Scalars(step.inliers),
+            columns(step=[step.stage], samples=[step.iteration]),
+            stage="estimate",
+        )
         put(rec, prefix, "estimation/score", rr.Scalars(step.score), stage="estimate")
         _log_epipolar(rec, corr, cameras, F, rows, prefix)
     rec.disable_timeline("iteration")
@@ -66,7 +75,7 @@ def log_two_view(
     prefix: str = "",
     *,
     sample: int = 12,
-    max_lines: int = 150,
+    max_lines: int = 80,
 ) -> None:
     """Inliers and outliers by operator, epipolar lines and epipoles; where a homography is the model, its outline.
 
@@ -85,7 +94,7 @@ def log_two_view(
             if not len(rows):
                 continue
             for number in (1, 2):
-                dots = rr.Points2D(x[number - 1][rows], class_ids=k, radii=rr.Radius.ui_points(1.5), **colour)
+                dots = rr.Points2D(x[number - 1][rows], class_ids=k, radii=rr.Radius.ui_points(1), **colour)
                 at = [f"world/cam{number}/image", what, name]
                 put(rec, prefix, at, dots, _match_columns(corr, traced, rows), stage="estimate")
             some = rows[marks.spread(x[0][rows], max_lines)]
@@ -138,8 +147,10 @@ def log_pose(
         put(rec, prefix, at, rr.Transform3D(mat3x3=R.numpy(), translation=s.numpy(), **place), stage="pose")
         put(rec, prefix, f"{at}/frustum", pinhole(view.camera2, frustum, color=colour), stage="pose")
         label = f"pose {number}: {in_front:,} of {total:,} in front" + (" (chosen)" if chosen else "")
-        dot = rr.Points3D([[0, 0, 0]], colors=colour, radii=rr.Radius.ui_points(5), labels=label, show_labels=True)
-        put(rec, prefix, f"{at}/centre", dot, columns(in_front=[in_front], chosen=[chosen]), stage="pose")
+        dot = rr.Points3D(
+            [[0, 0, frustum]], colors=colour, radii=rr.Radius.ui_points(5), labels=label, show_labels=True
+        )
+        put(rec, prefix, f"{at}/count", dot, columns(in_front=[in_front], chosen=[chosen]), stage="pose")
 
 
 def log_cloud(
@@ -154,7 +165,7 @@ def log_cloud(
         ("operator", {}),
         ("density", {"colors": ramp(np.log(marks.neighbour_density(xyz)))}),
     ):
-        dots = rr.Points3D(xyz, class_ids=k, radii=rr.Radius.ui_points(1.5), **colours)
+        dots = rr.Points3D(xyz, class_ids=k, radii=rr.Radius.ui_points(1), **colours)
         put(rec, prefix, f"world/points/{name}", dots, details, stage="triangulate")
     for number, (camera, x, pose) in enumerate(
         ((view.camera1, corr.x1, (None, None)), (view.camera2, corr.x2, (view.R, view.t))), start=1
@@ -167,16 +178,16 @@ def log_cloud(
         log_survivors(rec, prefix, number, [], "triangulate")  # the cloud, projected, takes over
 
 
-def log_uncertainty(rec: rr.RecordingStream, cloud: PointCloud, prefix: str = "", *, sample: int = 200) -> None:
+def log_uncertainty(
+    rec: rr.RecordingStream, cloud: PointCloud, corr: Correspondences, prefix: str = "", *, sample: int = 200
+) -> None:
     """The cloud by its uncertainty, and 3-sigma ellipsoids of a sample; nothing where the cloud has no covariance."""
     if cloud.covariance is None:
         return
     covariance, k, xyz = cloud.covariance.numpy(), cloud.operator_id.numpy(), cloud.xyz.numpy()
     sigma = marks.largest_sigma(covariance)
     dots = rr.Points3D(xyz, class_ids=k, colors=ramp(np.log(np.maximum(sigma, 1e-12))), radii=rr.Radius.ui_points(1.5))
-    put(
-        rec, prefix, "world/points/uncertainty", dots, columns(sigma=sigma, point=np.arange(len(cloud))), stage="refine"
-    )
+    put(rec, prefix, "world/points/uncertainty", dots, _point_columns(cloud, corr), stage="refine")
     some = marks.spread(xyz[:, :2] / xyz[:, 2:], sample)
     half_sizes, quaternions = marks.ellipsoids(covariance[some], SIGMAS)
     shells = rr.Ellipsoids3D(centers=xyz[some], half_sizes=half_sizes, quaternions=quaternions, class_ids=k[some],
@@ -196,7 +207,7 @@ def log_match(
     put(rec, prefix, "world/rays", rays, columns(point=[point], match=[row]), stage="triangulate")
     for number, (x, camera) in enumerate(((corr.x1, view.camera1), (corr.x2, view.camera2)), start=1):
         dot = rr.Points2D(marks.ideal_pixels(x[row][None], camera), class_ids=int(corr.operator_id[row]),
-                          radii=rr.Radius.ui_points(5), labels=f"match {row:,}, point {point:,}", show_labels=True)  # fmt: skip
+                          radii=rr.Radius.ui_points(5), labels=f"point {point:,}", show_labels=True)  # fmt: skip
         put(
             rec,
             prefix,

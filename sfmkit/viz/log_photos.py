@@ -75,7 +75,7 @@ def log_features(
             if became is not None:
                 b = became[name][number - 1]
                 details |= {"fate": b.fate, "match": b.match, "point": b.point}
-            dots = rr.Points2D(x, class_ids=k, radii=rr.Radius.ui_points(1.2), draw_order=30.0)
+            dots = rr.Points2D(x, class_ids=k, radii=rr.Radius.ui_points(1))
             put(rec, prefix, [at, "keypoints", name], dots, columns(**details), stage="detect")
             alive.append((x, np.full(len(f), k)))
             some = marks.strongest(f, max_regions)
@@ -94,7 +94,7 @@ def log_matches(
     cameras: Cameras,
     prefix: str = "",
     *,
-    max_lines: int = 150,
+    max_lines: int = 80,
 ) -> None:
     """Every operator's matches before fusion: what is matched in the images, and lines side by side.
 
@@ -128,7 +128,7 @@ def log_fusion(
     cameras: Cameras,
     prefix: str = "",
     *,
-    max_lines: int = 150,
+    max_lines: int = 80,
 ) -> None:
     """What was merged: the matches that others stand for, and what is left in the images."""
     for k, (name, (rows, merged)) in enumerate(matches_to_rows(features, matches, corr).items()):

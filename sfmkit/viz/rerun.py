@@ -78,7 +78,7 @@ def save_recording(
         rec.set_log_time_enabled(False)
         rec.set_log_tick_enabled(False)
         try:
-            rec.save(temporary, default_blueprint=default_blueprint(result))
+            rec.save(temporary, default_blueprint=default_blueprint(result, history=bool(history)))
             log_reconstruction(rec, result, originals=originals, history=history)
             rec.flush()
         except (RuntimeError, ValueError) as error:
@@ -112,13 +112,20 @@ def log_reconstruction(
     log_pose(rec, corr, view, prefix, frustum=0.15 * depth)
     if cloud is not None and len(cloud):
         log_cloud(rec, cloud, corr, view, prefix)
-        log_uncertainty(rec, cloud, prefix)
+        log_uncertainty(rec, cloud, corr, prefix)
         log_match(rec, int(cloud.match[marks.telling_point(cloud)]), corr, view, cloud, prefix)
     log_account(rec, result.account, prefix)
     log_timings(rec, result.timings_s, prefix)
     for stage, words in text.story(result).items():
         put(rec, prefix, "story", rr.TextDocument(words, media_type="text/markdown"), stage=stage)
     put(rec, prefix, "summary", rr.TextDocument(text.report_markdown(result), media_type="text/markdown"))
+    put(
+        rec,
+        prefix,
+        "verdict",
+        rr.TextDocument(text.verdict_markdown(view), media_type="text/markdown"),
+        stage="estimate",
+    )
     report = {"schema": SCHEMA, **make_report(result)}
     put(rec, prefix, "report", rr.TextDocument(json.dumps(report, indent=1), media_type="text/plain"))
 

@@ -11,6 +11,7 @@ from ..account import ALL, OperatorAccount
 
 if TYPE_CHECKING:
     from ..pipeline import Reconstruction
+    from ..types import TwoView
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -38,6 +39,12 @@ def account_markdown(account: Mapping[str, OperatorAccount]) -> str:
 def timings_markdown(timings_s: Mapping[str, float]) -> str:
     """Seconds per stage as a table."""
     return table(("stage", "seconds"), [(name, f"{seconds:.2f}") for name, seconds in timings_s.items()])
+
+
+def verdict_markdown(view: TwoView) -> str:
+    """The verdict, its reason and the numbers it rests on."""
+    rows = [(name.replace("_", " "), f"{value:,.4g}") for name, value in view.evidence.items()]
+    return f"## {view.verdict.value}\n\n{view.reason}\n\n{table(('evidence', ''), rows)}"
 
 
 def report_markdown(result: Reconstruction) -> str:

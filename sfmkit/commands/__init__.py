@@ -1,0 +1,1 @@
+"""Commands of ``sfmkit`` that are kept apart from the main one."""
