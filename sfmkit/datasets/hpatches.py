@@ -1,0 +1,24 @@
+"""HPatches' full image sequences: folders ``v_*`` (viewpoint) and ``i_*`` (illumination) of six images and five H.
+
+Balntas, Lenc, Vedaldi & Mikolajczyk, "HPatches: a benchmark and evaluation of handcrafted and learned local
+descriptors", CVPR 2017.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+
+from .pairs import Pair, choose_sequences, data_root, find_image, read_homography
+
+
+def hpatches(data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None) -> Iterator[Pair]:
+    """Pairs 1-2 ... 1-6 of each sequence, with H; arguments and errors as for :func:`~sfmkit.datasets.oxford.oxford`."""
+    root = data_root("hpatches", data)
+    present = sorted(f.name for f in root.iterdir() if f.is_dir() and f.name[:2] in ("v_", "i_"))
+    for sequence in choose_sequences(root, present, sequences):
+        folder = root / sequence
+        first = find_image(folder, "1")
+        for k in range(2, 7):
+            H = read_homography(folder / f"H_1_{k}")
+            yield Pair("hpatches", sequence, f"1-{k}", first, find_image(folder, f"{k}"), H=H)
