@@ -21,8 +21,8 @@ from torch import Tensor
 
 from ._rays import Vector, components, cross, dot, rotated_ray
 from .lie import so3_exp, sphere_exp, tangent_basis
+from .losses import Loss, LossTerms, loss_terms
 
-Loss = Literal["squared", "huber", "cauchy"]
 Focal = Literal["fixed", "shared", "separate"]
 Pair = tuple[Tensor, Tensor]
 
@@ -84,26 +84,11 @@ class Problem:
     def cost(self, state: State) -> Tensor:
         """Half the weighted sum of the loss, (*B,), of each match's squared residual over both images."""
         r1, r2 = residuals(state, self)
-        return 0.5 * (self.weights * self._rho(_dot2(r1, r1) + _dot2(r2, r2))).sum(-1)
+        return 0.5 * (self.weights * self.loss_terms(r1, r2).value).sum(-1)
 
-    def _rho(self, s: Tensor) -> Tensor:
-        k2 = self.scale**2
-        if self.loss == "huber":
-            outside = s > k2
-            return torch.where(outside, 2 * self.scale * torch.where(outside, s, k2).sqrt() - k2, s)
-        return k2 * torch.log1p(s / k2) if self.loss == "cauchy" else s
-
-    def slope(self, s: Tensor) -> Tensor:
-        """The loss's derivative by a match's squared residual s, (*B, N): the weight of iterated least squares."""
-        if self.loss == "huber":
-            return self.scale / s.clamp_min(self.scale**2).sqrt()
-        return 1 / (1 + s / self.scale**2) if self.loss == "cauchy" else torch.ones_like(s)
-
-    def curvature(self, s: Tensor) -> Tensor:
-        """The loss's second derivative along the residual over its slope, (*B, N): 1 for squares, 0 or less far out."""
-        if self.loss == "huber":
-            return (s <= self.scale**2).to(s.dtype)
-        return (self.scale**2 - s) / (self.scale**2 + s) if self.loss == "cauchy" else torch.ones_like(s)
+    def loss_terms(self, r1: Pair, r2: Pair) -> LossTerms:
+        """The loss of every match, (*B, N), and its derivatives by the squared residual over both images."""
+        return loss_terms(self.loss, _dot2(r1, r1) + _dot2(r2, r2), self.scale)
 
 
 class Linearised(NamedTuple):
@@ -202,11 +187,9 @@ def jacobian(state: State, problem: Problem) -> Jacobian:
 def weigh(J: Jacobian, problem: Problem) -> Jacobian:
     """Rows times the square root of their weight: ``J^T r`` is the robust gradient, ``J^T J`` bounds the Hessian.
 
-    Iterated reweighting: each step minimises a quadratic that lies above the cost, so that it descends. One weight for
-    both images: two would move the point from one image's residual to the other's, slowly.
+    One weight for a match: one for each image would move its point from one image's residual to the other's, slowly.
     """
-    s = _dot2(J.residual1, J.residual1) + _dot2(J.residual2, J.residual2)
-    root = (problem.weights * problem.slope(s)).sqrt()
+    root = (problem.weights * problem.loss_terms(J.residual1, J.residual2).slope).sqrt()
 
     def times(columns: tuple[Pair | None, ...]) -> tuple[Any, ...]:
         return tuple(None if c is None else (root * c[0], root * c[1]) for c in columns)
@@ -214,18 +197,37 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
     return Jacobian(*(times(part) for part in J[:4]), *times(J[4:]))  # type: ignore[arg-type]
 
 
-def linearise(state: State, problem: Problem, damping: Tensor | None = None) -> Linearised:
-    """The reduced camera system; with damping (*B,), every point's diagonal is scaled by 1 + damping."""
-    J = weigh(jacobian(state, problem), problem)
+def linearise(state: State, problem: Problem, damping: Tensor | None = None, near: Tensor | None = None) -> Linearised:
+    """The reduced camera system.
+
+    Reweighted least squares: the quadratic lies above the cost, so that its step descends. Where near (*B,) is true, the
+    loss's own curvature is used, which converges faster but only close to the minimum. With damping (*B,), every point's
+    diagonal is scaled by 1 + damping.
+    """
+    plain = jacobian(state, problem)
+    J = weigh(plain, problem)
     L = _point_factor(J, 0.0 if damping is None else damping[..., None])
     columns1 = (*J.camera1, J.residual1)
     columns2 = (*J.camera2, J.residual2)
     Z = torch.stack([torch.stack(_whiten(L, _onto_point(J, c1, c2)), -2) for c1, c2 in zip(columns1, columns2)], -3)
     H = _gram(columns1) + _gram(columns2)
     flat = Z.flatten(-2)
-    reduced = H - flat @ flat.mT
     m = problem.size
-    return Linearised(reduced[..., :m, :m], reduced[..., :m, m], Z, L, H[..., :m, :m])
+    reduced, H = H - flat @ flat.mT, H[..., :m, :m]
+    S = reduced[..., :m, :m]
+    if near is not None and problem.loss != "squared":
+        # At the minimum the points see no residual (J_y^T r = 0): the curvature along it is the camera's alone.
+        bend = 2 * problem.weights * problem.loss_terms(plain.residual1, plain.residual2).curvature * near[..., None]
+        along = torch.stack([_onto_residual(plain, c1, c2) for c1, c2 in zip(plain.camera1, plain.camera2)], -2)
+        S = S + (along * bend[..., None, :]) @ along.mT
+    return Linearised(S, reduced[..., :m, m], Z, L, H)
+
+
+def _onto_residual(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Tensor:
+    """``r^T c`` for one column of the camera Jacobian."""
+    one = 0.0 if c1 is None else _dot2(J.residual1, c1)
+    two = 0.0 if c2 is None else _dot2(J.residual2, c2)
+    return one + two + torch.zeros_like(J.residual1[0])
 
 
 def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
@@ -234,11 +236,11 @@ def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
     grow = 1 + damping
     uu, vv, ww = _dot2(pu, pu) + _dot2(au, au), _dot2(pv, pv) + _dot2(av, av), _dot2(pw, pw)
     uv, uw, vw = _dot2(pu, pv) + _dot2(au, av), _dot2(pu, pw), _dot2(pv, pw)
-    l00 = (grow * uu).sqrt()
+    l00 = (grow * uu).clamp_min(_TINY).sqrt()
     l10, l20 = uv / l00, uw / l00
-    l11 = (grow * vv - l10 * l10).sqrt()
+    l11 = (grow * vv - l10 * l10).clamp_min(_TINY).sqrt()
     l21 = (vw - l20 * l10) / l11
-    # A point on the epipole has no depth to estimate; a floor keeps it where it is.
+    # A point on the epipole, or beyond a redescending loss, has nothing to move it: the floor keeps it where it is.
     l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
     return l00, l10, l11, l20, l21, l22
 

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..errors import DegenerateGeometryError, InputError
 from ._checks import _traced, check_intrinsics, check_points
-from ._two_view_problem import FREE_FOCALS, Focal, Loss, Problem, State, linearise
+from ._two_view_problem import FREE_FOCALS, Focal, Problem, State, linearise
 from .coordinates import _normalize
+from .losses import Loss
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 
 _TOLERANCE = 1e-12  # of the cost: the decrease still to be had at convergence
+_NEAR = 1e-2  # of the cost: a step that gains less is close to the minimum
 _EXACT = 1e-20  # pixels squared per match: rounding of the residuals
 _DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
 
@@ -52,7 +54,7 @@ class TwoViewBundle:
     def problem(self) -> Problem:
         """The least-squares problem at the cameras found, float64."""
         x1, x2, weights, K1, K2 = (a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
-        return Problem(x1, x2, weights, K1, K2, self.loss, self.loss_scale, self.focal)
+        return Problem(x1, x2, _regular(weights), K1, K2, self.loss, self.loss_scale, self.focal)
 
     def state(self) -> State:
         """The unknowns at the minimum, float64; focal scales relative to K1 and K2."""
@@ -87,8 +89,8 @@ def bundle_adjust(
         K1, K2: ``(*B, 3, 3)`` intrinsics.
         R, t: ``(*B, 3, 3)``, ``(*B, 3)`` where to start; the length of t does not matter.
         weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance), ones if left out.
-        loss: of a match's residual (4-vector over both images): ``squared``, ``huber`` or ``cauchy``.
-        loss_scale: pixels, where huber turns from squares to absolute values and cauchy starts to level off.
+        loss, loss_scale: of a match's residual, the 4-vector over both images, in pixels; see
+            :func:`sfmkit.geometry.losses.loss_terms`.
         focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal length is well
             determined only where the optical axes do not meet (Kanatani and Matsunaga 2000); look at the covariance.
         max_iterations: 0 triangulates at the given pose and goes nowhere.
@@ -99,13 +101,17 @@ def bundle_adjust(
 
     Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis, 2000.
     """
-    if loss not in ("squared", "huber", "cauchy"):
-        raise InputError(f"loss must be 'squared', 'huber' or 'cauchy', not {loss!r}")
     if focal not in FREE_FOCALS:
         raise InputError(f"focal must be 'fixed', 'shared' or 'separate', not {focal!r}")
     if not loss_scale > 0:
         raise InputError(f"loss_scale must be positive (pixels), not {loss_scale}")
     check_points(minimum=5 + FREE_FOCALS[focal], weights=weights, x1=x1, x2=x2)
+    if weights is not None and not _traced() and int((weights > 0).sum(-1).min()) < 5 + FREE_FOCALS[focal]:
+        raise DegenerateGeometryError(
+            "too few matches have a positive weight",
+            matches=int((weights > 0).sum(-1).min()),
+            needed=5 + FREE_FOCALS[focal],
+        )
     check_intrinsics(x1, K1=K1, K2=K2)
     check_pose(R, t, like=x1)
     try:
@@ -113,7 +119,9 @@ def bundle_adjust(
     except RuntimeError:
         raise InputError("the batch shapes of x1, K1, K2, R and t do not go together") from None
     ones = x1.new_ones(x1.shape[:-1]) if weights is None else weights
-    problem = Problem(x1.double(), x2.double(), ones.double(), K1.double(), K2.double(), loss, loss_scale, focal)
+    problem = Problem(
+        x1.double(), x2.double(), _regular(ones.double()), K1.double(), K2.double(), loss, loss_scale, focal
+    )
     fixed = problem.detached()
 
     state = _start(fixed, R.detach().double().expand(*batch, 3, 3), t.detach().double().expand(*batch, 3))
@@ -143,6 +151,11 @@ def bundle_adjust(
     )
 
 
+def _regular(weights: Tensor) -> Tensor:
+    """Weights with zero made next to nothing, so that a match without weight still has a point of its own."""
+    return weights + 1e-12 * weights.detach().amax(-1, keepdim=True)
+
+
 def _start(problem: Problem, R: Tensor, t: Tensor) -> State:
     t = t / t.norm(dim=-1, keepdim=True)
     xn1, xn2 = _normalize(problem.x1, problem.K1), _normalize(problem.x2, problem.K2)
@@ -159,9 +172,10 @@ def _minimise(state: State, problem: Problem, max_iterations: int) -> tuple[Stat
     damping = torch.full_like(cost, _DAMPING[0])
     iterations = torch.zeros_like(cost, dtype=torch.int64)
     converged = torch.zeros_like(cost, dtype=torch.bool)
+    near = converged
     history = [cost]
     for _ in range(max_iterations):
-        system = linearise(state, problem, damping)
+        system = linearise(state, problem, damping, near)
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
@@ -169,12 +183,13 @@ def _minimise(state: State, problem: Problem, max_iterations: int) -> tuple[Stat
         # What a full step could still gain, from the points and then from the camera.
         own = system.Z[..., -1, :, :]
         gain = (own * own).sum((-1, -2)) - (camera * system.g).sum(-1)
-        arrived = gain <= _TOLERANCE * cost + _EXACT * n
+        arrived = gain.abs() <= _TOLERANCE * cost + _EXACT * n
         iterations = iterations + (~converged).long()
         better = (reached <= cost) & ~converged
         state = _select(better, trial, state)
         cost = torch.where(better, reached, cost)
         damping = torch.where(better, damping / _DAMPING[1], damping * _DAMPING[1])
+        near = better & (gain < _NEAR * cost)
         converged = converged | arrived
         history.append(cost)
         if watched and bool(converged.all()):

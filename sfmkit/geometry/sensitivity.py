@@ -23,14 +23,13 @@ def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
     H = hessian(state, problem)
     J = jacobian(state, problem)
     camera, point, r = _rows(J)
-    s = (r * r).sum(-2)
-    slope = problem.weights * problem.slope(s)
-    # How the gradient's own residuals react: slope times (identity + (curvature - 1) r r^T / |r|^2).
-    bend = (problem.curvature(s) - 1) / torch.where(s == 0, 1.0, s)
+    loss = problem.loss_terms(J.residual1, J.residual2)
     follow = torch.einsum("...kln,...lmn->...kmn", H.inverse, H.mixed)
     D = camera - torch.einsum("...rkn,...kmn->...rmn", point, follow)
-    D = slope[..., None, None, :] * (
-        D + (bend[..., None, :] * r)[..., :, None, :] * torch.einsum("...rn,...rmn->...mn", r, D)[..., None, :, :]
+    # The gradient of the loss by the residual, slope r, itself changes by slope + 2 curvature r r^T.
+    along = 2 * loss.curvature[..., None, :] * torch.einsum("...rn,...rmn->...mn", r, D)
+    D = problem.weights[..., None, None, :] * (
+        loss.slope[..., None, None, :] * D + r[..., :, None, :] * along[..., None, :, :]
     )
     return torch.linalg.solve(H.camera[..., None, :, :], D.movedim(-1, -3).mT)[..., :5, :]
 
@@ -71,7 +70,7 @@ def influence(bundle: TwoViewBundle) -> Influence:
     kept = 1 - leverage
     change = torch.linalg.solve(system.S, pull).mT / torch.where(kept > 1e-9, kept, torch.inf)[..., None]
     spread = torch.einsum("...nj,...jk,...nk->...n", change, system.S, change)
-    variance = (r * r).sum((-1, -2)) / ((problem.weights > 0).sum(-1) - problem.size).clamp_min(1)
+    variance = (r * r).sum((-1, -2)) / ((bundle.weights > 0).sum(-1) - problem.size).clamp_min(1)
     cook = spread / (problem.size * variance[..., None].clamp_min(torch.finfo(r.dtype).tiny))
     return Influence(change[..., :5], leverage, cook)
 

@@ -52,7 +52,7 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     """
     state = bundle.state()
     problem = bundle.problem()
-    variance, dof = _noise(state, problem)
+    variance, dof = _noise(state, problem, bundle.weights > 0)
     system = linearise(state, replace(problem, loss="squared"))
     root, failed = torch.linalg.cholesky_ex(system.S)
     # A pose direction is undetermined when next to nothing of its information survives the elimination of the points.
@@ -86,11 +86,10 @@ def sigma_degrees(pose_covariance: Tensor) -> Tensor:
     return torch.rad2deg(torch.stack((variances[..., :3].sum(-1), variances[..., 3:].sum(-1)), -1).sqrt())
 
 
-def _noise(state: State, problem: Problem) -> tuple[Tensor, Tensor]:
+def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor]:
     """The variance of a coordinate of unit weight, and the degrees of freedom it was estimated with."""
     r1, r2 = residuals(state, problem)
     s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
-    used = problem.weights > 0
     matches = used.sum(-1)
     dof = matches - problem.size
     if bool((dof <= 0).any()):
@@ -99,9 +98,9 @@ def _noise(state: State, problem: Problem) -> tuple[Tensor, Tensor]:
             matches=int(matches.min()),
             needed=problem.size + 1,
         )
-    slope = problem.slope(s)
-    variance = (problem.weights * slope**2 * s).sum(-1) / dof
-    share = (used * slope * problem.curvature(s)).sum(-1) / matches
+    loss = problem.loss_terms(r1, r2)
+    variance = (problem.weights * loss.slope**2 * s).sum(-1) / dof
+    share = (used * (loss.slope + 2 * loss.curvature * s)).sum(-1) / matches
     return variance / share.clamp_min(0.1) ** 2, dof
 
 
