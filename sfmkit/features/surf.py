@@ -12,12 +12,14 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
+from ..parallel import map_on_cores
 from ..types import Features
-from .surf_descriptor import descriptor, level_of, orientation, smoothed_levels
+from .surf_descriptor import Level, descriptor, level_of, orientation, smoothed_levels
 from .surf_detector import fast_hessian
 
 CHUNK = 256  # keypoints described at once on a CPU: their samples stay in cache
 CHUNK_ACCELERATOR = 8192
+TILE = 256  # pixels; keypoints described together are close together, so that their pixels stay in cache too
 
 
 def surf(
@@ -140,11 +142,18 @@ def _describe(
     if not len(xy):
         return angles, described
     levels = smoothed_levels(integral, int(level_of(size).max()) + 1)
-    of_level = level_of(size).clamp(max=len(levels) - 1)
+    level = level_of(size).clamp(max=len(levels) - 1)
+    tile = (xy / (TILE << level)[:, None]).long().clamp_(0, (1 << 20) - 1)
+    order = torch.argsort((level << 40) + (tile[:, 1] << 20) + tile[:, 0])
+
+    def fill(part: tuple[Level, Tensor]) -> None:
+        source, rows = part
+        if find_angle:
+            angles[rows] = orientation(integral, xy[rows], size[rows])
+        described[rows] = descriptor(source, xy[rows], size[rows], angles[rows], extended)
+
     chunk = CHUNK if integral.device.type == "cpu" else CHUNK_ACCELERATOR
-    for number, level in enumerate(levels):
-        for here in (of_level == number).nonzero().squeeze(1).split(chunk):
-            if find_angle:
-                angles[here] = orientation(integral, xy[here], size[here])
-            described[here] = descriptor(level, xy[here], size[here], angles[here], extended)
+    same_level = order.split(torch.bincount(level, minlength=len(levels)).tolist())
+    parts = [(source, rows) for source, group in zip(levels, same_level) for rows in group.split(chunk) if len(rows)]
+    map_on_cores(fill, parts)
     return angles, described

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,8 +29,16 @@ CELLS = 4  # a side
 PATCH_SIGMA = 3.3  # of the Gaussian weights over the window, in s
 
 
-def smoothed_levels(integral: Tensor, levels: int) -> list[tuple[Tensor, int, int]]:
-    """(mean, box, step): box means of the image, ``box = 2^level`` wide, at every ``max(1, box / 2)``-th pixel."""
+class Level(NamedTuple):
+    """Means of the image over squares `box` pixels wide, at every `step`-th pixel."""
+
+    mean: Tensor
+    box: int
+    step: int
+
+
+def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
+    """The first `levels` levels, boxes of 1, 2, 4, ... pixels at steps of half a box, as far as they fit the image."""
     high, wide = (n - 1 for n in integral.shape)
     stack = []
     for level in range(levels):
@@ -39,7 +48,7 @@ def smoothed_levels(integral: Tensor, levels: int) -> list[tuple[Tensor, int, in
         right, left = integral[:, box::step], integral[:, : wide - box + 1 : step]
         band = right - left
         total = band[box::step] - band[: high - box + 1 : step]
-        stack.append((total.float().mul_(1 / box**2), box, step))
+        stack.append(Level(total.float().mul_(1 / box**2), box, step))
     return stack
 
 
@@ -101,7 +110,7 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
     return torch.remainder(dominant, 2 * math.pi)
 
 
-def descriptor(level: tuple[Tensor, int, int], xy: Tensor, size: Tensor, angle: Tensor, extended: bool) -> Tensor:
+def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: bool) -> Tensor:
     """Gradient sums over 4 x 4 cells of the rotated window around each keypoint (section 4.2).
 
     Args:

@@ -15,10 +15,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..parallel import map_on_cores
+
 FIRST_SIZE = 9  # side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
 SIZE_STEP = 6  # difference in side from layer to layer in the first octave
 CROSS_WEIGHT = 0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (section 3.2)
-STRIP_ELEMENTS = 1 << 17  # samples of one layer in a strip
+STRIP = 1 << 17  # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+STRIP_ACCELERATOR = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ class Blobs:
         return Blobs(self.xy[index], self.size[index], self.response[index], self.sign[index])
 
 
-def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, strip: int = STRIP_ELEMENTS) -> Blobs:
+def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, strip: int | None = None) -> Blobs:
     """Maxima above `threshold` of the fast Hessian, ordered by octave, layer, row and column.
 
     Args:
@@ -52,25 +55,37 @@ def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, 
         threshold: least determinant of the Hessian.
         octaves: doublings of the sampling step; those whose filters do not fit the image are left out.
         layers: layers in an octave in which maxima are sought; two more surround them.
-        strip: samples a strip; changes the speed, not the result.
+        strip: samples of one layer in a strip; changes the speed, not the result. By default what suits the device.
     """
-    found = [_Octave(integral, o, layers, strip).maxima(threshold) for o in range(octaves)]
-    return Blobs(*(torch.cat([getattr(f, name) for f in found]) for name in ("xy", "size", "response", "sign")))
+    strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)
+    pyramid = map_on_cores(lambda octave: _Octave(integral, octave, layers), range(octaves))
+    work = [(octave, top, bottom) for octave in pyramid for top, bottom in octave.strips(strip)]
+    found = map_on_cores(lambda part: part[0].maxima(*part[1:], threshold), work)
+    blobs = []
+    for octave in pyramid:
+        parts = [maxima for maxima, part in zip(found, work) if part[0] is octave]
+        if parts:
+            blobs.append(octave.blobs(*(torch.cat(pieces, dim=-1) for pieces in zip(*parts))))
+    if not blobs:
+        none = torch.empty(0, device=integral.device)
+        return Blobs(none.view(0, 2), none, none, none.to(torch.int8))
+    return Blobs(*(torch.cat([getattr(b, name) for b in blobs]) for name in ("xy", "size", "response", "sign")))
 
 
 class _Octave:
     """One octave: `layers + 2` responses on a grid of every `step`-th pixel."""
 
-    def __init__(self, integral: Tensor, octave: int, layers: int, strip: int):
+    def __init__(self, integral: Tensor, octave: int, layers: int):
         self.step = step = 1 << octave
         self.sizes = [(FIRST_SIZE + SIZE_STEP * i) << octave for i in range(layers + 2)]
         self.rows, self.cols = ((n - 1) // step for n in integral.shape)
         # A middle layer's maxima need the whole filter of the layer above, and its neighbours, inside the image.
         self.margins = [size // 2 // step + 1 for size in self.sizes[2:]]
-        self.strip = strip
-        self.fits = 2 * self.margins[0] < min(self.rows, self.cols)
-        if self.fits:
+        self.first, self.last = self.margins[0], self.rows - self.margins[0]
+        if 2 * self.margins[0] < min(self.rows, self.cols):
             self._split_phases(integral)
+        else:
+            self.last = self.first  # not even the smallest filters fit
 
     def _split_phases(self, integral: Tensor) -> None:
         """Sample the integral image at every phase of the grid, so that any corner of a box is a contiguous run."""
@@ -90,15 +105,15 @@ class _Octave:
         begin = start + (row // self.step + self.guard) * self.pitch + col // self.step
         return self.phases[row % self.step, col % self.step, begin : begin + length]
 
-    def determinant(self, layer: int, first: int, length: int) -> Tensor:
-        """(length,) determinant of the Hessian of `layer` at the grid points from flat index `first` on."""
+    def determinant(self, layer: int, first: int, out: Tensor) -> None:
+        """Determinant of the Hessian of `layer` at the grid points from flat index `first` on, added to `out` (length,)."""
         size, step, pitch = self.sizes[layer], self.step, self.pitch
         box = size // 3  # the lobes of Dxx and Dyy are `box` wide, those of Dxy `box` square
         k = box // step
         near, far = round(2 * size / 9), round(7 * size / 9)  # extent of the lobes across the direction of derivation
         cross, cross_far = round(size / 9), round(5 * size / 9)
         centre = size // 2 // step
-        start = first - centre * (pitch + 1)
+        start, length = first - centre * (pitch + 1), len(out)
 
         def corner(row: int, col: int, extra: int) -> Tensor:
             return self._corner(row, col, start, length + extra)
@@ -119,10 +134,8 @@ class _Octave:
         xy = xy[k:] - xy[:length]
 
         area, cross_area = box * (far - near), box * box
-        scale = 1.0 / area**2
-        det = xx.float().mul_(yy.float()).mul_(scale)
-        xy = xy.float()
-        return det.addcmul_(xy, xy, value=-CROSS_WEIGHT / cross_area**2)
+        xx, yy, xy = xx.float(), yy.float(), xy.float()
+        out.addcmul_(xx, yy, value=1 / area**2).addcmul_(xy, xy, value=-CROSS_WEIGHT / cross_area**2)
 
     def laplacian_sign(self, layer: Tensor, row: Tensor, col: Tensor) -> Tensor:
         """(M,) int8 sign of Dxx + Dyy at grid points."""
@@ -144,41 +157,44 @@ class _Octave:
             sign[here] = trace.sign().to(torch.int8)
         return sign
 
-    def maxima(self, threshold: float) -> Blobs:
-        """The octave's blobs."""
-        if not self.fits:
-            empty = torch.empty(0)
-            return Blobs(empty.view(0, 2), empty, empty, empty.to(torch.int8))
-        first, last = self.margins[0], self.rows - self.margins[0]
-        high = max(1, self.strip // self.pitch - 2)
-        strips = [self._strip_maxima(r, min(r + high, last), threshold) for r in range(first, last, high)]
-        layer, row, col, cube = (torch.cat(parts, dim=-1) for parts in zip(*strips))
-        order = torch.argsort((layer * self.rows + row) * self.cols + col)
-        return self._interpolated(layer[order], row[order], col[order], cube[:, order])
+    def strips(self, samples: int) -> list[tuple[int, int]]:
+        """Ranges of rows [top, bottom) of about `samples` grid points each, wherein maxima may be."""
+        if self.first == self.last:
+            return []
+        high = max(1, samples // self.pitch - 2)
+        return [(top, min(top + high, self.last)) for top in range(self.first, self.last, high)]
 
-    def _strip_maxima(self, top: int, bottom: int, threshold: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Maxima in the rows [top, bottom): layer, row, column and the (27, M) responses around each."""
+    def maxima(self, top: int, bottom: int, threshold: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Maxima in the rows [top, bottom): layer, row, column (M,) and the responses (27, M) around each."""
         pitch = self.pitch
-        first, length = (top - 1) * pitch, (bottom - top + 2) * pitch
-        det = torch.stack([self.determinant(i, first, length) for i in range(len(self.sizes))])
-        across = torch.maximum(torch.maximum(det[:, :-2], det[:, 2:]), det[:, 1:-1])
-        around = torch.maximum(torch.maximum(across[:, : -2 * pitch], across[:, 2 * pitch :]), across[:, pitch:-pitch])
-        highest = torch.maximum(torch.maximum(around[:-2], around[2:]), around[1:-1])
-        inner = det[1:-1, pitch + 1 : -pitch - 1]
-        peak = (inner >= highest).logical_and_(inner > threshold)
-        layer, at = peak.nonzero(as_tuple=True)
+        length = (bottom - top + 2) * pitch  # with a row more on either side
+        det = torch.zeros(len(self.sizes), length, device=self.phases.device)
+        for number, response in enumerate(det):
+            self.determinant(number, (top - 1) * pitch, response)
+        highest = torch.maximum(det[:-1], det[1:])
+        highest = torch.maximum(highest[:-1], highest[1:])
+        across = torch.maximum(highest[:, :-2], highest[:, 2:])
+        across = torch.maximum(across, highest[:, 1:-1], out=across)
+        around = torch.maximum(across[:, : -2 * pitch], across[:, 2 * pitch :])
+        around = torch.maximum(around, across[:, pitch:-pitch], out=around).clamp_(min=threshold)
+        layer, at = (det[1:-1, pitch + 1 : -pitch - 1] >= around).nonzero(as_tuple=True)
         at = at + 1
         row, col = at // pitch + top, at % pitch
         margin = torch.tensor(self.margins, device=at.device)[layer]
         inside = (row >= margin) & (row < self.rows - margin) & (col >= margin) & (col < self.cols - margin)
         layer, row, col = layer[inside] + 1, row[inside], col[inside]
+
         at = layer * length + (row - top + 1) * pitch + col
-        offsets = torch.tensor(
-            [n * length + r * pitch + c for n in (-1, 0, 1) for r in (-1, 0, 1) for c in (-1, 0, 1)], device=at.device
-        )
-        cube = det.view(-1)[offsets[:, None] + at]
-        strict = (cube >= cube[13]).sum(0) == 1
+        around27 = [n * length + r * pitch + c for n in (-1, 0, 1) for r in (-1, 0, 1) for c in (-1, 0, 1)]
+        cube_at = torch.tensor(around27, device=at.device)[:, None] + at
+        cube = det.view(-1).index_select(0, cube_at.view(-1)).view(cube_at.shape)
+        strict = ((cube >= cube[13]).sum(0) == 1) & (cube[13] > threshold)
         return layer[strict], row[strict], col[strict], cube[:, strict]
+
+    def blobs(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
+        """The octave's maxima, ordered and interpolated."""
+        order = torch.argsort((layer * self.rows + row) * self.cols + col)
+        return self._interpolated(layer[order], row[order], col[order], cube[:, order])
 
     def _interpolated(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
         """Blobs at the maximum of the quadratic through the (27, M) responses around each (Brown and Lowe 2002)."""
