@@ -27,10 +27,10 @@ _PRINTED_FILES = (
 
 def account_table(operators: dict[str, Any]) -> Table:
     """The account of a report (its ``operators``) as a table."""
-    table = Table(box=box.SIMPLE_HEAD, title="account", title_justify="left", pad_edge=False)
-    table.add_column("operator")
-    for column in ("keypoints 1", "keypoints 2", "matches", "fused", "share", "inliers", "points", "share", "loss"):
-        table.add_column(column, justify="right")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("operator", no_wrap=True)
+    for column in ("keypoints 1", "2", "matches", "fused", "share", "inliers", "points", "share", "loss"):
+        table.add_column(column, justify="right", no_wrap=True)
     for name, line in operators.items():
         if name == ALL:
             table.add_section()
@@ -48,7 +48,7 @@ def account_table(operators: dict[str, Any]) -> Table:
 
 def print_summary(report: dict[str, Any], folder: Path) -> None:
     """The account, the verdict, the pose, the times and the files."""
-    console = Console(highlight=False, soft_wrap=False)
+    console = wide_console()
     console.print(account_table(report["operators"]))
     verdict, pose = report["verdict"], report["pose"]
     facts = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -90,4 +90,10 @@ def print_operators(rows: list[OperatorInfo]) -> None:
         table.add_column(column, overflow="fold")
     for row in rows:
         table.add_row(row.name, row.norm, row.width, "yes" if row.available else row.reason, row.licence, row.summary)
-    Console(highlight=False).print(table)
+    wide_console().print(table)
+
+
+def wide_console() -> Console:
+    """Standard output; where it is no terminal, wide enough that no table is cut."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=140)
