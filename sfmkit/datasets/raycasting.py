@@ -52,7 +52,7 @@ def geometry(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int]) -> tu
         s = np.where(np.isfinite(s), s, np.nan)
         points[tile.rows, tile.columns] = np.stack([xn * s, yn * s, s], axis=-1)
 
-    _in_parallel(part, _tiles(scene, pose, K, size_wh))
+    in_parallel(part, _tiles(scene, pose, K, size_wh))
     return depth, points
 
 
@@ -70,7 +70,7 @@ def radiance(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int], super
         shape = (len(ys) // supersample, supersample, len(xs) // supersample, supersample, 3)
         film[tile.rows, tile.columns] = light.reshape(shape).mean(axis=(1, 3))
 
-    _in_parallel(part, _tiles(scene, pose, K, size_wh))
+    in_parallel(part, _tiles(scene, pose, K, size_wh))
     return film
 
 
@@ -94,7 +94,7 @@ def _tiles(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int]) -> list
     return tiles
 
 
-def _in_parallel(job: Callable[[T], V], parts: Iterable[T]) -> list[V]:
+def in_parallel(job: Callable[[T], V], parts: Iterable[T]) -> list[V]:
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(job, parts))
 
@@ -168,7 +168,7 @@ SPOKES = 32  # rays a cell
 @lru_cache(maxsize=8)
 def _openness(surfaces: tuple[Surface, ...]) -> tuple[Array | None, ...]:
     """Per flat surface, a grid (rows, columns) of the share of the sky that it sees, weighted by the cosine."""
-    return tuple(_in_parallel(lambda surface: _open_grid(surfaces, surface), surfaces))
+    return tuple(in_parallel(lambda surface: _open_grid(surfaces, surface), surfaces))
 
 
 def _open_grid(surfaces: tuple[Surface, ...], surface: Surface) -> Array | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -132,7 +133,7 @@ def render(
     """
     if isinstance(scene, str):
         scene = named_scene(scene)
-    w, h = _whole("size_wh", size_wh[0], 16, 20_000), _whole("size_wh", size_wh[1], 16, 20_000)
+    w, h = check_size(size_wh)
     _positive("blur", blur, zero=True)
     _positive("noise", noise, zero=True)
     _positive("exposure", exposure)
@@ -200,6 +201,13 @@ def _pixels(x: np.ndarray) -> np.ndarray:
     if x.ndim != 2 or x.shape[1] != 2:
         raise InputError(f"pixels must have shape (N, 2), not {x.shape}")
     return x
+
+
+def check_size(size_wh: tuple[int, int]) -> tuple[int, int]:
+    """Width and height as they came; InputError unless they are two whole numbers of at least 16 pixels."""
+    if not isinstance(size_wh, Sequence) or len(size_wh) != 2:
+        raise InputError(f"size_wh must be (width, height) in pixels, not {size_wh!r}")
+    return _whole("size_wh", size_wh[0], 16, 20_000), _whole("size_wh", size_wh[1], 16, 20_000)
 
 
 def _whole(name: str, value: Any, low: int, high: int) -> int:

@@ -13,6 +13,9 @@ import pytest
 from PIL import Image
 
 from sfmkit.datasets.materials import BRICK_STEEPNESS, BRICK_THICKNESS, brick_height
+from sfmkit.datasets.raycasting import radiance
+from sfmkit.datasets.scenes import Scene, look
+from sfmkit.datasets.surfaces import Rectangle
 from sfmkit.datasets.synthetic import SCENES, SyntheticPair, demo_pair, named_scene, photograph, render
 from sfmkit.errors import InputError
 
@@ -173,6 +176,23 @@ def test_both_pictures_show_the_same_thing(name, bound, courtyard, small):
     assert np.corrcoef(one.ravel(), two.ravel())[0, 1] > 0.85
 
 
+def test_an_edge_is_drawn_where_geometry_puts_it():
+    # white to the right of a line on a wall: the light in a row tells, to a fraction of a pixel, where the line runs
+    def half_white(u, v, footprint):
+        return np.repeat((u > 20.0).astype(np.float32)[:, None], 3, axis=1), None
+
+    wall = Rectangle(np.array([-20.0, -20, 5]), np.array([40.0, 0, 0]), np.array([0, 40.0, 0]), half_white)
+    scene = Scene("edge", (wall,), look((-0.3, 0.2, 0), (0.1, 0.4, 5), 7), look((0.5, 0, 0), (0, 0, 5)))
+    K = scene.K((64, 48))
+    light = radiance(scene, scene.pose1, K, (64, 48), 8)[..., 0]
+    first = np.argmax(light > 0, axis=1)[:, None]  # the pixel that the edge enters, and maybe the next, are part white
+    part, rest, white = (np.take_along_axis(light, first + k, axis=1)[:, 0] for k in (0, 1, 2))
+    drawn = first[:, 0] + 1.5 - (part + rest) / white
+    ends = (np.array([[0.0, -1, 5], [0.0, 1, 5]]) - scene.pose1.centre) @ scene.pose1.R.T
+    (x0, y0), (x1, y1) = project(K, ends)
+    np.testing.assert_allclose(drawn, x0 + (np.arange(48) - y0) * (x1 - x0) / (y1 - y0), atol=0.07)
+
+
 def test_same_arguments_same_bits_and_other_seed_only_other_noise():
     def picture(**kwargs):
         return render("dish", size_wh=(64, 48), supersample=1, **kwargs)
@@ -287,6 +307,7 @@ def test_an_unknown_scene_suggests_the_nearest_name():
         ({"size_wh": (15, 100)}, "size_wh"),
         ({"size_wh": (100, 0)}, "size_wh"),
         ({"size_wh": (64.5, 64)}, "size_wh"),
+        ({"size_wh": 640}, "size_wh"),
         ({"blur": -1}, "blur"),
         ({"noise": float("nan")}, "noise"),
         ({"exposure": 0}, "exposure"),
