@@ -21,7 +21,7 @@ from torch import Tensor
 from .account import OperatorAccount, make_account
 from .cameras import camera_from_exif, parse_intrinsics
 from .errors import CameraError, InputError, OperatorError
-from .estimation import estimate_two_view, undistorted_pixels
+from .estimation import Adjustment, adjust, estimate_two_view, undistorted_pixels
 from .features import detect
 from .fusion import fuse
 from .geometry.coordinates import normalize
@@ -151,8 +151,13 @@ def reconstruct(
             )
         with watch.stage("estimate", "epipolar geometry and pose"):
             two_view = estimate_two_view(corr, *cameras, options.estimate, seed=seed)
+        adjustment = None
+        if options.estimate.refine:
+            with watch.stage("refine", "pose and points together"):
+                adjustment = adjust(corr, two_view)
+        two_view = two_view if adjustment is None else adjustment.view
         with watch.stage("triangulate", "points"):
-            cloud = make_cloud(corr, two_view, images[0], options.triangulate)
+            cloud = make_cloud(corr, two_view, images[0], options.triangulate, adjustment)
     watch.seconds["total"] = time.perf_counter() - began
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)] + dropped
     return Reconstruction(
@@ -267,11 +272,15 @@ def match_all(features: FeaturePairs, options: MatchOptions, watch: Stopwatch | 
 
 
 def make_cloud(
-    corr: Correspondences, view: TwoView, image1: Image, options: TriangulateOptions | None = None
+    corr: Correspondences,
+    view: TwoView,
+    image1: Image,
+    options: TriangulateOptions | None = None,
+    adjustment: Adjustment | None = None,
 ) -> PointCloud | None:
     """Stage 3, last part: triangulate the inliers; None where the geometry has no translation.
 
-    Points that come out behind a camera or at infinity, or that the options exclude, are left out; ``match`` of the
+    With the `adjustment` that gave `view` its pose, the points carry their covariance. Points that come out behind a camera or at infinity, or that the options exclude, are left out; ``match`` of the
     cloud says which correspondences stayed.
     """
     if view.R is None or view.t is None:
@@ -299,6 +308,7 @@ def make_cloud(
         reprojection_error=error[keep],
         parallax=angle[keep],
         match=rows,
+        covariance=None if adjustment is None else adjustment.covariance[keep],
     )
 
 
