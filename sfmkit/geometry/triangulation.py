@@ -25,6 +25,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from ..errors import InputError
 from ._checks import check_matrices, check_points
 from ._rays import Vector, choose, components, cross, dot, image_ray, rotate, rotated_ray
 from .pose import check_pose
@@ -46,12 +47,9 @@ def triangulate(
     Raises:
         InputError: on shapes, dtypes or devices that do not fit, NaN, or a zero t.
     """
-    try:
-        chosen = _METHODS[method]
-    except KeyError:
-        known = ", ".join(_METHODS)
-        raise ValueError(f"unknown triangulation method {method!r}; known: {known}") from None
-    return chosen(xn1, xn2, R, t, homogeneous)
+    if method not in _METHODS:
+        raise InputError(f"unknown triangulation method {method!r}; known: {', '.join(_METHODS)}")
+    return _METHODS[method](xn1, xn2, R, t, homogeneous)
 
 
 def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -74,7 +72,7 @@ def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogene
     further = dot(pt, pt) * dot(q, q) > dot(qt, qt) * dot(p, p)
     n = choose(further, pt, qt)
     w = dot(cross(p, q), n)
-    return _finish(x1, q, R, c, dot(qt, n), dot(pt, n), w, homogeneous, dtype)
+    return _finish(_middle(x1, q, R, c, dot(qt, n), dot(pt, n), w), x1[0], x1[1], homogeneous, dtype)
 
 
 def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -89,7 +87,8 @@ def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogen
     p, q = rotated_ray(R, *x1), image_ray(*x2)
     c = components(t)
     n = cross(p, q)
-    return _finish(x1, q, R, c, dot(cross(q, c), n), dot(cross(p, c), n), dot(n, n), homogeneous, dtype)
+    X = _middle(x1, q, R, c, dot(cross(q, c), n), dot(cross(p, c), n), dot(n, n))
+    return _finish(X, x1[0], x1[1], homogeneous, dtype)
 
 
 def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -126,9 +125,7 @@ def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous:
         larger = scatter[j][j] > largest
         column = [torch.where(larger, a, b) for a, b in zip(scatter[j], column)]
         largest = torch.where(larger, scatter[j][j], largest)
-    X = torch.stack(column, -1)
-    behind = X[..., 0] * x + X[..., 1] * y + X[..., 2] < 0
-    return _dehomogenise(torch.where(behind[..., None], -X, X), homogeneous, dtype)
+    return _finish(column, x, y, homogeneous, dtype)
 
 
 def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
@@ -186,24 +183,26 @@ def _double(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> tuple[Tensor, Ten
     return xn1.double(), xn2.double(), R.double(), t.double(), xn1.dtype
 
 
-def _finish(
-    x1: tuple[Tensor, ...],
-    q: Vector,
-    R: Tensor,
-    c: Vector,
-    s1: Tensor,
-    s2: Tensor,
-    w: Tensor,
-    homogeneous: bool,
-    dtype: torch.dtype,
-) -> Tensor:
-    """The middle of ``s1/w (x1, 1)`` and ``R^T (s2/w q - t)``, as points of the asked-for kind."""
+def _middle(x1: tuple[Tensor, ...], q: Vector, R: Tensor, c: Vector, s1: Tensor, s2: Tensor, w: Tensor) -> list[Tensor]:
+    """The middle of ``s1/w (x1, 1)`` and ``R^T (s2/w q - t)``, homogeneous."""
     back = rotate(R, (s2 * q[0] - w * c[0], s2 * q[1] - w * c[1], s2 * q[2] - w * c[2]), inverse=True)
-    X = torch.stack((s1 * x1[0] + back[0], s1 * x1[1] + back[1], s1 + back[2], 2 * w), -1)
+    return [s1 * x1[0] + back[0], s1 * x1[1] + back[1], s1 + back[2], 2 * w]
+
+
+def _finish(X: list[Tensor], x: Tensor, y: Tensor, homogeneous: bool, dtype: torch.dtype) -> Tensor:
+    """Homogeneous components as points of the asked-for kind; (x, y) is the ray of image 1."""
+    if not homogeneous:
+        w = X[3]
+        infinite = w == 0
+        scale = 1 / torch.where(infinite, 1.0, w)
+        return torch.stack([torch.where(infinite, torch.inf, scale * a) for a in X[:3]], -1).to(dtype)
+    H = torch.stack(X, -1)
+    forward = X[0] * x + X[1] * y + X[2] >= 0
+    H = torch.where(forward[..., None], H, -H)
     # Both rays on the baseline, or exactly parallel: nothing fixes the depth; the point at infinity on ray 1.
-    lost = (X == 0).all(-1, keepdim=True)
-    ray = torch.stack((x1[0], x1[1], torch.ones_like(x1[0]), torch.zeros_like(x1[0])), -1)
-    return _dehomogenise(torch.where(lost, ray, X), homogeneous, dtype)
+    ray = torch.stack((x, y, torch.ones_like(x), torch.zeros_like(x)), -1)
+    H = torch.where((H == 0).all(-1, keepdim=True), ray, H)
+    return (H / H.norm(dim=-1, keepdim=True)).to(dtype)
 
 
 def _gram(rows: list[list[Tensor]]) -> list[list[Tensor]]:
@@ -222,14 +221,6 @@ def _on_ray(x: Tensor, y: Tensor, plane: list[Tensor]) -> list[Tensor]:
     along = plane[0] * x + plane[1] * y + plane[2]
     depth = -plane[3]
     return [x * depth, y * depth, depth.expand_as(along), along]
-
-
-def _dehomogenise(X: Tensor, homogeneous: bool, dtype: torch.dtype) -> Tensor:
-    if homogeneous:
-        return (X / X.norm(dim=-1, keepdim=True)).to(dtype)
-    w = X[..., 3:]
-    infinite = w == 0
-    return torch.where(infinite, torch.inf, X[..., :3] / torch.where(infinite, 1.0, w)).to(dtype)
 
 
 _METHODS = {"optimal": triangulate_optimal, "midpoint": triangulate_midpoint, "dlt": triangulate_dlt}
