@@ -1,0 +1,186 @@
+"""``sfmkit reconstruct``, ``sfmkit demo`` and ``sfmkit operators``: the main job and what it works with."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..exit_status import OK, UNTRUSTWORTHY
+from ..progress import progress
+
+
+def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in value.split(",") if part.strip())
+
+
+@click.command()
+@click.argument("image1")
+@click.argument("image2")
+@click.option("--intrinsics", help="K of image 1 (and 2): a file, or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]. Default: EXIF.")
+@click.option("--intrinsics2", help="K of image 2, where it is another camera.")
+@click.option(
+    "--operators",
+    default="surf,orb,fast-brief",
+    show_default=True,
+    callback=_names,
+    help="Detectors, comma-separated; see `sfmkit operators`.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["default", "paper"]),
+    default="default",
+    show_default=True,
+    help="Our best settings, or the paper's.",
+)
+@click.option(
+    "--backend",
+    type=click.Choice(["torch", "opencv", "poselib", "pycolmap"]),
+    help="Robust estimator; default: the preset's.",
+)
+@click.option("--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels.")
+@click.option(
+    "--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly."
+)
+@click.option(
+    "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
+)
+@click.option("--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B.")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/reconstruction"), show_default=True, help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
+@click.option("--colmap", is_flag=True, help="Also write a COLMAP text model.")
+@click.option("--rrd/--no-rrd", default=True, show_default=True, help="Write recording.rrd for the Rerun viewer.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def reconstruct(
+    image1: str,
+    image2: str,
+    intrinsics: str | None,
+    intrinsics2: str | None,
+    operators: tuple[str, ...],
+    preset: str,
+    backend: str | None,
+    threshold: float | None,
+    budget: int | None,
+    max_size: int | None,
+    truth: str | None,
+    seed: int,
+    out: Path,
+    overwrite: bool,
+    colmap: bool,
+    rrd: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Reconstruct the scene that IMAGE1 and IMAGE2 both show.
+
+    Writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder --out. Exit status: 0 done,
+    1 ran but found no trustworthy geometry (the report says why), 2 bad input.
+    """
+    run_reconstruct(
+        image1, image2, intrinsics=intrinsics, intrinsics2=intrinsics2, operators=operators, preset=preset,
+        changes={"backend": backend, "threshold_px": threshold}, detect={"budget": budget, "max_size": max_size},
+        truth=truth, seed=seed, out=out, overwrite=overwrite, colmap=colmap, rrd=rrd, quiet=quiet, as_json=as_json,
+    )  # fmt: skip
+
+
+def run_reconstruct(
+    image1: str,
+    image2: str,
+    *,
+    intrinsics: str | None,
+    intrinsics2: str | None,
+    operators: tuple[str, ...],
+    preset: str,
+    changes: dict[str, Any],
+    detect: dict[str, Any],
+    truth: str | None,
+    seed: int,
+    out: Path,
+    overwrite: bool,
+    colmap: bool,
+    rrd: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    from dataclasses import replace
+
+    from ..errors import OutputError
+
+    if out.exists() and not overwrite:
+        raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
+    with progress(enabled=not quiet and not as_json) as say:
+        say("start", "loading libraries")
+        from ..cameras import read_truth
+        from ..options import PRESETS
+        from ..outputs import write_outputs
+        from ..pipeline import reconstruct as run
+
+        pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
+        options = PRESETS[preset]
+        options = replace(
+            options,
+            estimate=replace(options.estimate, **{k: v for k, v in changes.items() if v is not None}),
+            detect=replace(options.detect, **detect),
+        )
+        result = run(
+            image1,
+            image2,
+            intrinsics,
+            operators,
+            camera2=intrinsics2,
+            options=options,
+            seed=seed,
+            truth=pose,
+            progress=say,
+        )
+        say("write", str(out))
+        report = write_outputs(result, out, overwrite=overwrite, colmap=colmap, recording=rrd)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(report, indent=1))
+    elif not quiet:
+        from ..summary import print_summary
+
+        print_summary(report, out)
+    sys.exit(OK if result.trustworthy else UNTRUSTWORTHY)
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True, help="Folder to write."
+)
+@click.option("--preset", type=click.Choice(["default", "paper"]), default="default", show_default=True)
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def demo(out: Path, preset: str, quiet: bool, as_json: bool) -> None:
+    """Run the main job on the bundled pair, whose true pose is known. Replaces the folder --out."""
+    from ..datasets.synthetic import demo_pair
+
+    image1, image2, truth = demo_pair()
+    run_reconstruct(
+        str(image1), str(image2), intrinsics=str(truth), intrinsics2=None, operators=("surf", "orb", "fast-brief"),
+        preset=preset, changes={}, detect={}, truth=str(truth), seed=0, out=out, overwrite=True, colmap=False, rrd=True,
+        quiet=quiet, as_json=as_json,
+    )  # fmt: skip
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def operators(as_json: bool) -> None:
+    """List the feature operators, how they are compared, and whether they are available here."""
+    from ..features import list_operators
+    from ..summary import print_operators
+
+    rows = list_operators()
+    if as_json:
+        import json
+        from dataclasses import asdict
+
+        click.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    else:
+        print_operators(rows)
