@@ -163,7 +163,7 @@ def test_a_batch_is_its_items(function):
     torch.testing.assert_close(mapped, together, rtol=1e-13, atol=1e-14)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.sampled_from(METHODS))
 def test_swapping_and_permuting(seed, method):
     _, xn1, xn2, R, t = scene(20, noise=0.01, seed=seed)
@@ -177,7 +177,7 @@ def test_swapping_and_permuting(seed, method):
     assert float(relative(scaled, 3 * X).max()) < (1e-2 if method == "dlt" else 1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.sampled_from(METHODS))
 def test_rotating_the_world(w, method):
     X, _, xn2, R, t = scene(20)
