@@ -267,6 +267,7 @@ def diff_recordings(a: str | Path, b: str | Path, prefix: str = "") -> str:
         ("seed", lambda r: r["seed"]),
         ("image 1", lambda r: _image(r["images"][0])),
         ("image 2", lambda r: _image(r["images"][1])),
+        ("focal lengths", lambda r: ", ".join(f"{c['K'][0][0]:.1f} px ({c['source']})" for c in r["camera"])),
         ("operators", lambda r: ", ".join(o for o in r["operators"] if o != ALL)),
         ("verdict", lambda r: r["verdict"]["kind"]),
         ("residual, px", lambda r: r["reprojection_rmse_px"]),
@@ -276,7 +277,7 @@ def diff_recordings(a: str | Path, b: str | Path, prefix: str = "") -> str:
         ("versions", lambda r: ", ".join(f"{k} {v}" for k, v in r["versions"].items())),
     ):  # fmt: skip
         if value(ra) != value(rb):
-            rows.append((label, *(_short(value(r)) for r in (ra, rb))))
+            rows.append((label, _short(value(ra)), _short(value(rb))))
     changed = (
         _table(("changed", "from", "to"), rows, left=3) if len(rows) > 1 else "The settings and results are the same."
     )

@@ -34,7 +34,7 @@ def default_blueprint(result: Reconstruction, prefix: str = "", *, history: bool
         rrb.Tabs(*pages, active_tab=0),
         rrb.TimePanel(state="collapsed", timeline="stage", fps=1),
         rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+        rrb.SelectionPanel(state="expanded"),
     )
 
 

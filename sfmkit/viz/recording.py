@@ -33,7 +33,7 @@ class Logged:
 
     Attributes:
         entity, component: e.g. ``/world/points/operator`` and ``sfmkit:residual_px``.
-        times: timeline -> value; empty for what holds at all times.
+        times: timeline -> value (clock times in ns since 1970); empty for what holds at all times.
         values: an array with a row for each mark, or a list where it is no plain array (texts, strips of lines).
     """
 
@@ -81,7 +81,7 @@ class Recording:
             timelines = [n for n in chunk.timeline_names if n in batch.schema.names]
             names = [n for n in batch.schema.names if n not in timelines and not n.startswith("rerun.controls")]
             for row in range(batch.num_rows):
-                times = {n: batch[n][row].as_py() for n in timelines}
+                times = {n: _integer(batch[n][row]) for n in timelines if batch[n][row].is_valid}
                 order = (times.get("stage", -1), batch[_ROW][row].as_py())
                 for name in names:
                     if batch[name][row].is_valid:
@@ -175,6 +175,10 @@ def _version(path: Path) -> tuple[int, int]:
 
 def _dotted(version: tuple[int, ...]) -> str:
     return ".".join(map(str, version))
+
+
+def _integer(time: pa.Scalar) -> int:
+    return time.value if hasattr(time, "value") else time.as_py()
 
 
 def _plain(values: pa.Array) -> np.ndarray | list:

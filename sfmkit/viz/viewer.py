@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -62,41 +63,41 @@ def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
         ViewerError: the server did not come up.
     """
     read_recording(path)
-    web, data = _free_ports(2)
+    web, data = free_ports(2)
     process = subprocess.Popen(
         [*_COMMAND, "--serve-web", "--web-viewer-port", str(web), "--port", str(data), str(path)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:
         deadline = time.monotonic() + timeout_s
-        while not (_answers(web) and _answers(data)):
+        while not (listens(web) and listens(data)):
             if process.poll() is not None or time.monotonic() > deadline:
                 raise ViewerError(f"the viewer's server did not come up within {timeout_s:.0f} s")
             time.sleep(0.05)
         source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         yield Server(f"http://{HOST}:{web}/?url={source}", web, data, process)
     finally:
-        _end(process)
+        end(process)
 
 
-def _end(process: subprocess.Popen) -> None:
-    """End the viewer and the interpreter that started it."""
-    if os.name == "posix":
-        import signal
-        from contextlib import suppress
-
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-    else:
+def end(process: subprocess.Popen) -> None:
+    """End the viewer and the interpreter that started it, and wait until both are gone."""
+    if os.name != "posix":
         process.terminate()
-    try:
-        process.wait(5)
-    except subprocess.TimeoutExpired:
-        process.kill()
         process.wait()
+        return
+    for signal_, patience in ((signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0)):
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
+            try:
+                os.killpg(process.pid, signal_)
+            except (ProcessLookupError, PermissionError):  # nobody is left
+                return
+            process.poll()
+            time.sleep(0.02)
 
 
-def _free_ports(n: int) -> list[int]:
+def free_ports(n: int) -> list[int]:
     sockets = [socket.socket() for _ in range(n)]
     try:
         for s in sockets:
@@ -107,7 +108,7 @@ def _free_ports(n: int) -> list[int]:
             s.close()
 
 
-def _answers(port: int) -> bool:
+def listens(port: int) -> bool:
     try:
         socket.create_connection((HOST, port), 0.5).close()
     except OSError:
