@@ -35,7 +35,7 @@ def test_the_demo_knows_its_truth(demo_run):
     assert report["operators"]["multi"]["points"] > 3000
     for name in ("surf", "orb", "fast-brief"):
         assert report["operators"][name]["points"] > 100
-    for word in ("account", "surf", "orb", "fast-brief", "error", "report.json", "recording.rrd"):
+    for word in ("loss", "surf", "orb", "fast-brief", "error", "report.json", "recording.rrd"):
         assert word in result.stdout
 
 
