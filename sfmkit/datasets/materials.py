@@ -268,7 +268,7 @@ def soil(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
 
 def ceramic(rim: float) -> Material:
     """A glazed, painted dish of radius `rim`: a star, petals, a scroll and a lettered border, crackled with age."""
-    white, blue, ochre, green = (linear(c) for c in ("#cfc8b6", "#1f3f7a", "#c98a2b", "#3f6f4a"))
+    white, blue, ochre, green = (linear(c) for c in ("#b3ad9c", "#1f3f7a", "#b57c28", "#386442"))
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
         n = _noise(u + 0.3, v + 0.9, footprint, 0.6)
