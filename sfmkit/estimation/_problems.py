@@ -12,12 +12,12 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor
 
-from ..geometry._five_point import five_point
+from ..errors import DegenerateGeometryError
+from ..geometry._five_point import five_point, one_pose
 from ..geometry.coordinates import _hartley, _normalize, inverse_intrinsics
 from ..geometry.fundamental import (
     _residual_and_lines,
     _sampson,
-    cofactors,
     epipolar_rows,
     fundamental_8point,
     seven_point,
@@ -30,6 +30,7 @@ from ..geometry.refinement import _Matches, _matches, _minimise, _Objective
 
 _BLOCK = 1 << 17  # models times matches scored at once: what stays in the cache
 _SEARCH_CELLS = 96
+_POLISH = ((4.0, 4), (1.5, 20))  # thresholds, relative, and steps of the last fit
 
 
 def quick_score(v: Tensor) -> Tensor:
@@ -74,8 +75,14 @@ class Problem(ABC):
         """(N,) squared distances, square pixels, float64."""
 
     @abstractmethod
-    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
-        """The model after some steps of reweighted fitting to the first matches."""
+    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
+        """The (M, 3, 3) models after some steps of reweighted fitting to the first matches; scale times the threshold."""
+
+    def polish(self, model: Tensor) -> Tensor:
+        """The model fitted to all matches, the threshold narrowing, so that it is not caught where it started."""
+        for scale, steps in _POLISH:
+            model = self.improve(model[None], len(self.x1), steps, scale)[0]
+        return model
 
     def scores(self, models: Tensor, upto: int) -> Tensor:
         """(M,) mean score per match over the first `upto` matches."""
@@ -89,6 +96,17 @@ class Problem(ABC):
                 v.neg_().add_(1).clamp_(min=0)
                 out.append(v.pow(7) @ self.weights32[:upto])
         return torch.cat(out) / upto if out else torch.zeros(0, device=self.x1.device)
+
+    def _refit(self, fit, models: Tensor, x1: Tensor, x2: Tensor, w: Tensor) -> Tensor:
+        """Weighted linear fits; a model that too few matches support stays as it is."""
+        if self.weights is not None:
+            w = w * self.weights[: w.shape[1]]
+        enough = (w > 0).sum(1) > self.sample_size + 1
+        try:
+            fitted = fit(x1, x2, w / w.amax(1, keepdim=True).clamp(min=1e-300))
+        except DegenerateGeometryError:
+            return models
+        return torch.where(enough[:, None, None], fitted, models)
 
 
 class _Epipolar(Problem):
@@ -152,24 +170,12 @@ class EssentialProblem(_Epipolar):
     def exact(self, model: Tensor) -> Tensor:
         return _sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2
 
-    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
+    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
         m = self.matches
         w = None if m.weights is None else m.weights[:upto]
         m = _Matches(m.h1[:, :upto], m.h2[:, :upto], m.S1, m.S2, w)
-        R, t, *_ = _minimise(*one_pose(model), m, _Objective("marginal", self.threshold), steps)
+        R, t, *_ = _minimise(*one_pose(models), m, _Objective("marginal", scale * self.threshold), steps)
         return hat(t) @ R
-
-
-def one_pose(E: Tensor) -> tuple[Tensor, Tensor]:
-    """One of the poses of an essential matrix with unit translation, in closed form; R is a rotation to rounding."""
-    a, b, c = E.unbind(-1)
-    crosses = torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((a, b), (b, c), (c, a))], -2)
-    longest = crosses.square().sum(-1).argmax(-1)
-    t = torch.nn.functional.normalize(torch.take_along_dim(crosses, longest[..., None, None], -2).squeeze(-2), dim=-1)
-    R = cofactors(E) - hat(t) @ E
-    for _ in range(2):  # Newton-Schulz: takes out the error of an E slightly off its manifold
-        R = 1.5 * R - 0.5 * R @ R.mT @ R
-    return R, t
 
 
 class FundamentalProblem(_Epipolar):
@@ -193,17 +199,13 @@ class FundamentalProblem(_Epipolar):
     def exact(self, model: Tensor) -> Tensor:
         return _sampson(model, self.x1, self.x2) ** 2
 
-    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
-        x1, x2 = self.x1[:upto], self.x2[:upto]
+    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
+        x1, x2 = (x[:upto].expand(len(models), -1, -1) for x in (self.x1, self.x2))
         for _ in range(steps):
-            r, gradient = _sampson_parts(model, x1, x2)
-            w = marginal_weight(r * r / gradient, self.threshold) / gradient
-            if self.weights is not None:
-                w = w * self.weights[:upto]
-            if int((w > 0).sum()) < 8:
-                break
-            model = fundamental_8point(x1, x2, w / w.max())
-        return model
+            r, gradient = _sampson_parts(models, x1, x2)
+            w = marginal_weight(r * r / gradient, scale * self.threshold) / gradient
+            models = self._refit(fundamental_8point, models, x1, x2, w)
+        return models
 
 
 def _sampson_parts(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
@@ -228,13 +230,9 @@ class HomographyProblem(Problem):
     def exact(self, model: Tensor) -> Tensor:
         return _homography_sampson(model, self.x1, self.x2)
 
-    def improve(self, model: Tensor, upto: int, steps: int) -> Tensor:
-        x1, x2 = self.x1[:upto], self.x2[:upto]
+    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
+        x1, x2 = (x[:upto].expand(len(models), -1, -1) for x in (self.x1, self.x2))
         for _ in range(steps):
-            w = marginal_weight(_homography_sampson(model, x1, x2), self.threshold)
-            if self.weights is not None:
-                w = w * self.weights[:upto]
-            if int((w > 0).sum()) < 4:
-                break
-            model = homography_dlt(x1, x2, w)
-        return model
+            w = marginal_weight(_homography_sampson(models, x1, x2), scale * self.threshold)
+            models = self._refit(homography_dlt, models, x1, x2, w)
+        return models

@@ -7,32 +7,48 @@ import math
 import torch
 from torch import Tensor
 
-_FIRST_POOLS = (0.1, 0.3)  # shares of the matches, best first, that the first rounds draw from
+_POOLS = (0.1, 0.3, 1.0)  # shares of the matches, best first, that the rounds draw from in turn
 _SMALLEST_POOL = 100
+_GRADES = 8  # of quality, within each group of matches
 
 
 class Sampler:
     """Draws minimal samples of distinct matches, and knows how likely it has missed a good one so far.
 
-    PROSAC's idea on batches: the first rounds draw from the most promising matches only, later ones from all. Within a
-    round every match has its own probability. Counting what has been tried, a round of n samples has missed every
+    PROSAC's idea on batches: some rounds draw from the most promising matches only, others from all. Within a round
+    every match has its own probability, learned from how the best model so far fares with its like. Counting what has been tried, a round of n samples has missed every
     all-inlier sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is an inlier.
 
     Source: Chum & Matas, "Matching with PROSAC - progressive sample consensus", CVPR 2005.
     """
 
-    def __init__(self, n: int, size: int, generator: torch.Generator, prior: Tensor | None, quality: Tensor | None):
+    def __init__(
+        self,
+        n: int,
+        size: int,
+        generator: torch.Generator,
+        weights: Tensor | None,
+        quality: Tensor | None,
+        groups: Tensor | None,
+    ):
         """
         Args:
             n: matches. size: of a sample.
-            prior: (n,) relative probability of a match to be drawn, not negative.
+            weights: (n,) relative probability of a match to be drawn, not negative.
             quality: (n,) the smaller the more promising (distance ratio); NaN goes last.
+            groups: (n,) int64, such as the operator that found a match.
         """
         self.size, self.generator = size, generator
-        self.prior = torch.ones(n, dtype=torch.float64) if prior is None else prior.detach().double().cpu()
+        self.weights = torch.ones(n, dtype=torch.float64) if weights is None else weights.detach().double().cpu()
+        self.prior = self.weights
         self.order = None
+        self.kind = None if groups is None else groups.detach().cpu()
         if quality is not None:
-            self.order = torch.nan_to_num(quality.detach().double().cpu(), nan=torch.inf).argsort(stable=True)
+            q = torch.nan_to_num(quality.detach().double().cpu(), nan=torch.inf)
+            self.order = q.argsort(stable=True)
+            grade = torch.empty(n, dtype=torch.int64)
+            grade[self.order] = torch.arange(n) * _GRADES // n
+            self.kind = grade if self.kind is None else self.kind * _GRADES + grade
         self.rounds: list[tuple[int, Tensor]] = []
 
     def draw(self, count: int) -> Tensor:
@@ -50,20 +66,21 @@ class Sampler:
 
     def _probabilities(self) -> Tensor:
         p = self.prior
-        r = len(self.rounds)
-        if self.order is not None and r < len(_FIRST_POOLS):
-            pool = max(_SMALLEST_POOL, int(_FIRST_POOLS[r] * len(p)))
-            p = torch.zeros_like(p).index_copy(0, self.order[:pool], p[self.order[:pool]])
+        if self.order is not None:
+            share = _POOLS[len(self.rounds) % len(_POOLS)]
+            pool = self.order[: max(_SMALLEST_POOL, int(share * len(p)))]
+            p = torch.zeros_like(p).index_copy(0, pool, p[pool])
         if int((p > 0).sum()) < self.size:
             p = torch.ones_like(p)
         return p / p.sum()
 
-    def learn(self, groups: Tensor, inliers: Tensor, weights: Tensor | None) -> None:
-        """Draw each group's matches (its operator's) in proportion to their share of inliers under the best model."""
-        groups, inliers = groups.cpu(), inliers.cpu().double()
-        total = torch.bincount(groups).double()
-        rate = (torch.bincount(groups, inliers) + 1) / (total + 2)
-        self.prior = rate[groups] if weights is None else rate[groups] * weights.detach().double().cpu()
+    def learn(self, inliers: Tensor) -> None:
+        """Draw each kind of match (operator, grade of quality) in proportion to its share of inliers under a model."""
+        if self.kind is None:
+            return
+        total = torch.bincount(self.kind).double()
+        rate = (torch.bincount(self.kind, inliers.cpu().double()) + 1) / (total + 2)
+        self.prior = rate[self.kind] * self.weights
 
     def log_missed(self, inliers: Tensor) -> float:
         """Logarithm of the probability that no sample so far consisted of inliers only."""

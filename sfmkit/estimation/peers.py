@@ -138,9 +138,8 @@ def _pycolmap(
 
 
 def _essential(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    t = torch.from_numpy(np.asarray(t, dtype=np.float64))
-    length = t.norm()
-    return essential_from_pose(torch.from_numpy(np.asarray(R, dtype=np.float64)), t / length).numpy()
+    rotation, direction = (torch.from_numpy(np.asarray(a, dtype=np.float64)) for a in (R, t))
+    return essential_from_pose(rotation, direction / direction.norm()).numpy()
 
 
 def _numpy(x: Tensor) -> np.ndarray:

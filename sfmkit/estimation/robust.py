@@ -26,11 +26,14 @@ from .result import Improvement, RobustModel
 
 METHODS = ("magsac",)
 
-_ROUND = (64, 256)  # minimal samples in the first and in every later round
+_ROUND = (64, 256)  # minimal samples in each of the first and in every later round
+_LEAST_ROUNDS = 3
+_CAUTION = 3.0  # a sample of inliers is not always a good one: as many times the samples that confidence asks for
 _SUBSET = 768  # matches that every model is scored on
 _SHORTLIST = 16  # models scored on all matches
-_LOCAL = 2048  # matches that a new best model is fitted to while the search goes on
-_LOCAL_STEPS, _FINAL_STEPS = 3, 12
+_LOCAL_SCALE = 2.0  # of the threshold: what a rough model's own fit takes into account
+_LOCAL = 2048  # matches that the best of a round are fitted to
+_LOCAL_BEST, _LOCAL_STEPS = 3, 4
 
 
 def estimate_essential(
@@ -174,11 +177,11 @@ def _search(
 
     weights = shuffled(weights)
     problem = make(shuffled(x1).double(), shuffled(x2).double(), None if weights is None else weights.double())  # type: ignore[union-attr]
-    sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio))
-    best, iterations, history = _explore(problem, sampler, shuffled(groups), confidence, max_iterations)
+    sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio), shuffled(groups))
+    best, iterations, history = _explore(problem, sampler, confidence, max_iterations)
     if best is None:
         return RobustModel.failed(n, iterations, x1.device)
-    best = problem.improve(best, n, _FINAL_STEPS)
+    best = problem.polish(best)
     square = problem.exact(best)
     score = marginal_score(square, threshold)
     score = score if problem.weights is None else problem.weights * score
@@ -192,7 +195,7 @@ def _search(
 
 
 def _explore(
-    problem: Problem, sampler: Sampler, groups: Tensor | None, confidence: float, max_iterations: int
+    problem: Problem, sampler: Sampler, confidence: float, max_iterations: int
 ) -> tuple[Tensor | None, int, list[Improvement]]:
     """The best model of the search, the samples it took, and how the best improved."""
     n = len(problem.x1)
@@ -202,26 +205,24 @@ def _explore(
     inliers = torch.zeros(n, dtype=torch.bool, device=problem.x1.device)
     history: list[Improvement] = []
     while iterations < max_iterations:
-        count = min(_ROUND[min(len(sampler.rounds), 1)], max_iterations - iterations)
+        count = min(_ROUND[len(sampler.rounds) >= _LEAST_ROUNDS], max_iterations - iterations)
         models = problem.solve(sampler.draw(count).to(problem.x1.device))
         iterations += count
         if len(models):
             first = problem.scores(models, subset)
             shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
             scores = problem.scores(shortlist, n)
-            top = int(scores.argmax())
-            if float(scores[top]) > best_score:
-                for stage in ("sample", "local optimisation"):
-                    model = (
-                        shortlist[top] if stage == "sample" else problem.improve(shortlist[top], local, _LOCAL_STEPS)
-                    )
-                    score = float(problem.scores(model[None], n)[0])
-                    if score > best_score:
-                        best, best_score = model, score
-                        inliers = problem.squares(model[None], n)[0] < 1
-                        history.append(Improvement(iterations, model, int(inliers.sum()), score, stage))
-        if groups is not None and best is not None:
-            sampler.learn(groups, inliers, problem.weights)
-        if sampler.log_missed(inliers) < math.log1p(-confidence):
+            # A sample's own model is rough: even where the best so far is ahead of it, it may lead past it.
+            start = shortlist[scores.topk(min(_LOCAL_BEST, len(shortlist))).indices]
+            fitted = problem.improve(start, local, _LOCAL_STEPS, _LOCAL_SCALE)
+            for stage, candidates in (("sample", start[:1]), ("local optimisation", fitted)):
+                scores = problem.scores(candidates, n).nan_to_num(0.0)
+                top = int(scores.argmax())
+                if float(scores[top]) > best_score:
+                    best, best_score = candidates[top], float(scores[top])
+                    inliers = problem.squares(candidates[top : top + 1], n)[0] < 1
+                    history.append(Improvement(iterations, best, int(inliers.sum()), best_score, stage))
+            sampler.learn(inliers)
+        if len(sampler.rounds) >= _LEAST_ROUNDS and sampler.log_missed(inliers) < _CAUTION * math.log1p(-confidence):
             break
     return best, iterations, history

@@ -11,11 +11,32 @@ from torch import Tensor
 
 from ._nullspace import null_space
 from ._roots import nodes, real_roots
-from .fundamental import epipolar_rows
-from .lie import so3_exp
+from .fundamental import cofactors, epipolar_rows
+from .lie import hat, so3_exp
 
 # Monomials of x, y, z, w (w = 1) in Nister's order: the first ten are eliminated, the last ten are linear in x and y.
-_CUBIC = ["xxx", "yyy", "xxy", "xyy", "xxz", "xxw", "yyz", "yyw", "xyz", "xyw", "xzz", "xzw", "xww", "yzz", "yzw", "yww", "zzz", "zzw", "zww", "www"]
+_CUBIC = [
+    "xxx",
+    "yyy",
+    "xxy",
+    "xyy",
+    "xxz",
+    "xxw",
+    "yyz",
+    "yyw",
+    "xyz",
+    "xyw",
+    "xzz",
+    "xzw",
+    "xww",
+    "yzz",
+    "yzw",
+    "yww",
+    "zzz",
+    "zzw",
+    "zww",
+    "www",
+]
 _QUADRATIC = ["".join(p) for p in combinations_with_replacement("xyzw", 2)]
 
 
@@ -124,3 +145,18 @@ def rotation_step(E: Tensor, x1: Tensor, x2: Tensor, valid: Tensor | None = None
 def rotated(E: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """``exp([a]) E exp([b])``."""
     return so3_exp(a) @ E @ so3_exp(b)
+
+
+def one_pose(E: Tensor) -> tuple[Tensor, Tensor]:
+    """One of the poses (R, unit t) of an E of Frobenius norm √2, in closed form, without derivatives.
+
+    An E slightly off the essential manifold is taken for a nearby one: R comes out a rotation all the same.
+    """
+    a, b, c = E.unbind(-1)
+    crosses = torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((a, b), (b, c), (c, a))], -2)
+    longest = crosses.square().sum(-1).argmax(-1)
+    t = torch.nn.functional.normalize(torch.take_along_dim(crosses, longest[..., None, None], -2).squeeze(-2), dim=-1)
+    R = cofactors(E) - hat(t) @ E
+    for _ in range(2):  # Newton-Schulz: the error is squared each time
+        R = 1.5 * R - 0.5 * R @ R.mT @ R
+    return R, t

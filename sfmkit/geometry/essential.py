@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ._checks import check_intrinsics, check_matrices, check_points
-from ._five_point import five_point, rotated, rotation_step
+from ._five_point import five_point, one_pose, rotated, rotation_step
 from ._nullspace import detached, smallest_singular_vector
 from .fundamental import cofactors, slots
 from .lie import hat
@@ -114,11 +114,14 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     """(*B, 10, 3, 3) solutions, polished, and which of the ten slots hold one."""
     batch = x1.shape[:-2]
     x1, x2 = x1.reshape(-1, 5, 2), x2.reshape(-1, 5, 2)
-    E, owner = five_point(x1, x2, cells=1536)
-    for _ in range(2):
+    raw, owner = five_point(x1, x2, cells=1536)
+    R, t = one_pose(raw)
+    E = hat(t) @ R
+    moved = torch.minimum((E - raw).abs().amax((-2, -1)), (E + raw).abs().amax((-2, -1)))
+    for _ in range(3):
         a, b = rotation_step(E, x1[owner], x2[owner])
         E = rotated(E, a, b)
-    # What a degenerate sample leaves behind is not a solution: it is not finite, or still moves.
-    step = rotation_step(E, x1[owner], x2[owner])[0].abs().amax(-1)
-    good = (step < 1e-6) & E.isfinite().all(-1).all(-1)
+        moved = moved + a.abs().amax(-1)
+    # What a degenerate sample leaves behind is not a solution: it is not finite, went far, or still moves.
+    good = (moved < 1e-2) & (a.abs().amax(-1) < 1e-6) & E.isfinite().all(-1).all(-1)
     return slots(E[good], owner[good], len(x1), 10, batch)

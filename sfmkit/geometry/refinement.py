@@ -155,8 +155,7 @@ def _linearise(residual: _Residual, terms: LossTerms, m: _Matches, near: Tensor)
     """
     r, q, line1, line2 = residual
     u = (r * q)[..., None, :]
-    pulled = m.h2.clone()
-    pulled[..., :2, :] -= u * (m.S2.mT @ line2)
+    pulled = m.h2 - torch.nn.functional.pad(u * (m.S2.mT @ line2), (0, 0, 0, 1))
     A = pulled[..., :, None, :] * m.h1[..., None, :, :]
     A[..., :, :2, :] -= m.h2[..., :, None, :] * (u * (m.S1.mT @ line1))[..., None, :, :]
     A = (A * q[..., None, None, :]).flatten(-3, -2)
@@ -240,5 +239,7 @@ def _attach_derivatives(
         torch.func.jvp(lambda s: gradient(s, fixed), (zero,), (e.expand_as(zero).clone(),))[1]
         for e in torch.eye(5, dtype=t.dtype, device=t.device)
     ]
-    step = -torch.linalg.solve(torch.stack(columns, -1), gradient(zero, matches)[..., None]).squeeze(-1)
+    # The pseudo-inverse: where nothing counts any more (all residuals cut off) the derivative is zero, not an error.
+    inverse = torch.linalg.pinv(torch.stack(columns, -1), rtol=1e-14)
+    step = -(inverse @ gradient(zero, matches)[..., None]).squeeze(-1)
     return _move(R, t, step)

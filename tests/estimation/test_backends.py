@@ -1,0 +1,191 @@
+"""Every robust back end on scenes whose answer is known."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+import torch
+from made_up_scene import make_scene, same_up_to_sign
+
+from sfmkit.errors import InputError
+from sfmkit.estimation import opencv, peers, robust
+from sfmkit.estimation.robust import essential_score
+from sfmkit.geometry.essential import decompose_essential, essential_from_pose
+from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
+from sfmkit.geometry.homography import homography_from_pose, transfer
+from sfmkit.geometry.pose import rotation_error, translation_error
+
+GENERAL = make_scene(800, noise=0.3, outliers=0.5)
+PLANE = make_scene(800, noise=0.3, outliers=0.5, planar=True)
+TRUE_E = essential_from_pose(GENERAL.R, GENERAL.t)
+
+
+def engines():
+    yield pytest.param(robust, id="torch")
+    yield pytest.param(opencv, id="opencv")
+    for name in peers.PEERS:
+        yield pytest.param(name, id=name, marks=pytest.mark.peers)
+
+
+def engine(which):
+    if not isinstance(which, str):
+        return which
+    pytest.importorskip(which)
+    return peers.backend(which)
+
+
+def zero_skew(s) -> torch.Tensor:
+    """The peers know no skew: image 2 as a camera without it sees it."""
+    K2 = s.K2.clone()
+    K2[0, 1] = 0
+    return K2
+
+
+def pose_gap(E: torch.Tensor, s=GENERAL) -> float:
+    R, t = decompose_essential(E)
+    return float(torch.maximum(rotation_error(R, s.R), translation_error(t, s.t)).min())
+
+
+@pytest.mark.parametrize("which", engines())
+def test_essential_with_two_cameras_and_half_the_matches_wrong(which):
+    s, K2 = GENERAL, zero_skew(GENERAL)
+    fit = engine(which).estimate_essential(s.x1, s.x2, s.K1, K2, threshold_px=1.0)
+    assert pose_gap(fit.model) < 0.3  # skew of one pixel left out: a few hundredths of a degree
+    assert int(fit.inliers[400:].sum()) > 330
+    assert int(fit.inliers[:400].sum()) < 20
+    assert 150 < fit.score < int(fit.inliers.sum())
+
+
+@pytest.mark.parametrize("which", engines())
+def test_fundamental(which):
+    s = GENERAL
+    fit = engine(which).estimate_fundamental(s.x1, s.x2, threshold_px=1.0)
+    clean = make_scene(200, seed=5)
+    assert float(sampson_distance(fit.model, clean.x1, clean.x2).abs().max()) < 1.0
+    assert float(sampson_distance(fundamental_from_pose(s.R, s.t, s.K1, s.K2), clean.x1, clean.x2).abs().max()) < 1e-9
+    assert int(fit.inliers[400:].sum()) > 350
+
+
+@pytest.mark.parametrize("which", engines())
+def test_homography(which):
+    s = PLANE
+    fit = engine(which).estimate_homography(s.x1, s.x2, threshold_px=1.0)
+    H = homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2)
+    assert float((transfer(fit.model, s.x1[400:]) - transfer(H, s.x1[400:])).abs().max()) < 0.5
+    assert int(fit.inliers[400:].sum()) > 350
+    assert int(fit.inliers[:400].sum()) < 5
+
+
+@pytest.mark.parametrize("which", engines())
+def test_hopeless_input_yields_no_model(which):
+    e = engine(which)
+    K = GENERAL.K1
+    few, same = GENERAL.x1[:3], GENERAL.x1[:1].repeat(30, 1)
+    assert e.estimate_essential(few, few, K, K).model is None
+    assert e.estimate_fundamental(few, few).model is None
+    assert e.estimate_homography(few, few).model is None
+    assert not e.estimate_essential(few, few, K, K).inliers.any()
+    assert e.estimate_homography(same, same).model is None or which in peers.PEERS
+    nan = GENERAL.x1 * torch.nan
+    with pytest.raises(InputError, match="NaN"):
+        e.estimate_essential(nan, GENERAL.x2, K, K)
+    with pytest.raises(InputError, match="no method 'guess'"):
+        e.estimate_essential(GENERAL.x1, GENERAL.x2, K, K, method="guess")
+
+
+@pytest.mark.parametrize("method", sorted(opencv.METHODS))
+def test_every_method_of_opencv(method):
+    s = make_scene(300, noise=0.2, outliers=0.2)
+    assert pose_gap(opencv.estimate_essential(s.x1, s.x2, s.K1, s.K2, method=method).model) < 1.5
+
+
+@pytest.mark.parametrize("which", engines())
+def test_same_seed_same_bits(which):
+    s, K2 = GENERAL, zero_skew(GENERAL)
+    a, b = (engine(which).estimate_essential(s.x1, s.x2, s.K1, K2, seed=7) for _ in range(2))
+    assert torch.equal(a.model, b.model)
+    assert torch.equal(a.inliers, b.inliers)
+
+
+def test_missing_peer_says_which_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    with pytest.raises(InputError, match=r"sfmkit\[peers\]"):
+        peers.backend("poselib")
+    with pytest.raises(InputError, match="no back end"):
+        peers.backend("matlab")
+
+
+def test_torch_history_rises_and_ends_in_the_result():
+    s = GENERAL
+    fit = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2)
+    search = [h.score for h in fit.history[:-1]]
+    assert search == sorted(search)
+    assert fit.history[-1].stage == "refinement"
+    assert torch.equal(fit.history[-1].model, fit.model)
+    assert fit.history[-1].inliers == int(fit.inliers.sum())
+    assert fit.score == pytest.approx(float(essential_score(fit.model, s.x1, s.x2, s.K1, s.K2, 1.0)), rel=1e-9)
+
+
+def test_torch_uses_ratios_and_operators_to_need_fewer_samples():
+    s = make_scene(2000, noise=0.3, outliers=0.8)
+    g = torch.Generator().manual_seed(0)
+    wrong = torch.arange(2000) < 1600
+    ratio = torch.where(
+        wrong, 0.6 + 0.4 * torch.rand(2000, generator=g), 0.3 + 0.6 * torch.rand(2000, generator=g)
+    ).double()
+    plain = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2)
+    guided = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2, ratio=ratio, groups=wrong.long())
+    assert guided.iterations < plain.iterations / 3
+    assert pose_gap(guided.model, s) < 0.2
+
+
+def test_torch_weight_zero_is_as_good_as_absent():
+    s = GENERAL
+    w = torch.ones(800, dtype=torch.float64)
+    w[:400] = 0
+    fit = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2, weights=w)
+    alone = robust.estimate_essential(s.x1[400:], s.x2[400:], s.K1, s.K2)
+    assert float(same_up_to_sign(fit.model, alone.model)) < 1e-6
+    assert fit.score == pytest.approx(alone.score, rel=1e-6)
+
+
+def test_torch_takes_float32_and_permuted_matches():
+    s = GENERAL
+    order = torch.randperm(800, generator=torch.Generator().manual_seed(1))
+    a = robust.estimate_essential(s.x1.float(), s.x2.float(), s.K1.float(), s.K2.float())
+    b = robust.estimate_essential(s.x1[order], s.x2[order], s.K1, s.K2)
+    assert pose_gap(a.model.double()) < 0.1
+    assert float(same_up_to_sign(a.model.double(), b.model)) < 1e-4
+    assert int((a.inliers[order] != b.inliers).sum()) <= 2
+
+
+def test_swapping_the_images_transposes_the_model():
+    s = GENERAL
+    a = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2)
+    b = robust.estimate_essential(s.x2, s.x1, s.K2, s.K1)
+    assert float(same_up_to_sign(a.model, b.model.mT)) < 1e-5
+
+
+@pytest.mark.grad
+def test_score_is_differentiable_in_the_weights_and_everything_else():
+    s = make_scene(15, noise=0.4)
+    E = essential_from_pose(s.R, s.t).requires_grad_()
+    w = torch.linspace(0.2, 1, 15, dtype=torch.float64).requires_grad_()
+    x1 = s.x1.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda E, x1, w: essential_score(E, x1, s.x2, s.K1, s.K2, 3.0, w), (E, x1, w))
+
+
+@pytest.mark.cuda
+def test_cuda_finds_the_same_pose():
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    s = GENERAL
+    fit = robust.estimate_essential(*(a.cuda() for a in (s.x1, s.x2, s.K1, s.K2)))
+    assert fit.model.is_cuda
+    assert pose_gap(fit.model.cpu()) < 0.1
+
+
+def test_true_essential_matrix_scores_high():
+    score = essential_score(TRUE_E, GENERAL.x1, GENERAL.x2, GENERAL.K1, GENERAL.K2, 1.0)
+    assert 200 < float(score) < 420
