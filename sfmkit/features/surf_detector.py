@@ -11,7 +11,9 @@ they lie in the margin where a filter would stick out of the image, which is cut
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +22,7 @@ from ..parallel import map_on_cores
 FIRST_SIZE = 9  # side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
 SIZE_STEP = 6  # difference in side from layer to layer in the first octave
 CROSS_WEIGHT = 0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (section 3.2)
-STRIP = 1 << 17  # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+STRIP = 1 << 18  # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
 STRIP_ACCELERATOR = 1 << 22
 
 
@@ -43,9 +45,6 @@ class Blobs:
     def __len__(self) -> int:
         return len(self.size)
 
-    def take(self, index: Tensor) -> Blobs:
-        return Blobs(self.xy[index], self.size[index], self.response[index], self.sign[index])
-
 
 def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, strip: int | None = None) -> Blobs:
     """Maxima above `threshold` of the fast Hessian, ordered by octave, layer, row and column.
@@ -59,8 +58,9 @@ def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, 
     """
     strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)
     pyramid = map_on_cores(lambda octave: _Octave(integral, octave, layers), range(octaves))
+    least = float(np.nextafter(np.float32(threshold), np.float32(np.inf)))
     work = [(octave, top, bottom) for octave in pyramid for top, bottom in octave.strips(strip)]
-    found = map_on_cores(lambda part: part[0].maxima(*part[1:], threshold), work)
+    found = map_on_cores(lambda part: part[0].maxima(*part[1:], least), work)
     blobs = []
     for octave in pyramid:
         parts = [maxima for maxima, part in zip(found, work) if part[0] is octave]
@@ -77,6 +77,7 @@ class _Octave:
 
     def __init__(self, integral: Tensor, octave: int, layers: int):
         self.step = step = 1 << octave
+        self.device = integral.device
         self.sizes = [(FIRST_SIZE + SIZE_STEP * i) << octave for i in range(layers + 2)]
         self.rows, self.cols = ((n - 1) // step for n in integral.shape)
         # A middle layer's maxima need the whole filter of the layer above, and its neighbours, inside the image.
@@ -93,17 +94,16 @@ class _Octave:
         high, wide = (-(-n // step) for n in integral.shape)
         self.pitch = wide
         self.guard = self.sizes[-1] // step + 2  # rows that filters of the strips at the border may reach beyond it
-        phases = integral.new_zeros(step, step, high + 2 * self.guard, wide)
-        for r in range(step):
-            for c in range(step):
-                sampled = integral[r::step, c::step]
-                phases[r, c, self.guard : self.guard + len(sampled), : sampled.shape[1]] = sampled
-        self.phases = phases.view(step, step, -1)
+        self.phases = [[integral.new_zeros((high + 2 * self.guard) * wide) for _ in range(step)] for _ in range(step)]
+        for r, c in product(range(step), repeat=2):
+            sampled = integral[r::step, c::step]
+            rows = self.phases[r][c].view(-1, wide)[self.guard :]
+            rows[: len(sampled), : sampled.shape[1]] = sampled
 
     def _corner(self, row: int, col: int, start: int, length: int) -> Tensor:
         """`length` samples of the integral image, `row` and `col` pixels off the grid points that follow `start`."""
         begin = start + (row // self.step + self.guard) * self.pitch + col // self.step
-        return self.phases[row % self.step, col % self.step, begin : begin + length]
+        return self.phases[row % self.step][col % self.step][begin : begin + length]
 
     def determinant(self, layer: int, first: int, out: Tensor) -> None:
         """Determinant of the Hessian of `layer` at the grid points from flat index `first` on, added to `out` (length,)."""
@@ -147,7 +147,7 @@ class _Octave:
             at = (row[here] - centre) * self.pitch + col[here] - centre
 
             def corner(r: int, c: int, at: Tensor = at) -> Tensor:
-                return self._corner(r, c, 0, self.phases.shape[-1]).index_select(0, at)
+                return self._corner(r, c, 0, self.rows * self.pitch).index_select(0, at)
 
             trace = torch.zeros_like(at, dtype=torch.int32)
             for n, w in enumerate((-1, 3, -3, 1)):
@@ -164,19 +164,21 @@ class _Octave:
         high = max(1, samples // self.pitch - 2)
         return [(top, min(top + high, self.last)) for top in range(self.first, self.last, high)]
 
-    def maxima(self, top: int, bottom: int, threshold: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Maxima in the rows [top, bottom): layer, row, column (M,) and the responses (27, M) around each."""
+    def maxima(self, top: int, bottom: int, least: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Maxima of at least `least` in the rows [top, bottom): layer, row, column (M,), the (27, M) responses around."""
         pitch = self.pitch
         length = (bottom - top + 2) * pitch  # with a row more on either side
-        det = torch.zeros(len(self.sizes), length, device=self.phases.device)
+        det = torch.zeros(len(self.sizes), length, device=self.device)
         for number, response in enumerate(det):
             self.determinant(number, (top - 1) * pitch, response)
+        # The highest of the 27 samples around each, first over the layers, then along and across the rows. A sample that
+        # reaches it is a maximum, unless another ties with it.
         highest = torch.maximum(det[:-1], det[1:])
         highest = torch.maximum(highest[:-1], highest[1:])
         across = torch.maximum(highest[:, :-2], highest[:, 2:])
         across = torch.maximum(across, highest[:, 1:-1], out=across)
         around = torch.maximum(across[:, : -2 * pitch], across[:, 2 * pitch :])
-        around = torch.maximum(around, across[:, pitch:-pitch], out=around).clamp_(min=threshold)
+        around = torch.maximum(around, across[:, pitch:-pitch], out=around).clamp_(min=least)
         layer, at = (det[1:-1, pitch + 1 : -pitch - 1] >= around).nonzero(as_tuple=True)
         at = at + 1
         row, col = at // pitch + top, at % pitch
@@ -188,7 +190,7 @@ class _Octave:
         around27 = [n * length + r * pitch + c for n in (-1, 0, 1) for r in (-1, 0, 1) for c in (-1, 0, 1)]
         cube_at = torch.tensor(around27, device=at.device)[:, None] + at
         cube = det.view(-1).index_select(0, cube_at.view(-1)).view(cube_at.shape)
-        strict = ((cube >= cube[13]).sum(0) == 1) & (cube[13] > threshold)
+        strict = (cube >= cube[13]).sum(0) == 1
         return layer[strict], row[strict], col[strict], cube[:, strict]
 
     def blobs(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
