@@ -42,7 +42,7 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[st
 )
 @click.option("--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels.")
 @click.option(
-    "--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly."
+    "--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly.  [default preset: 40000]"
 )
 @click.option(
     "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
@@ -124,7 +124,7 @@ def run_reconstruct(
         options = replace(
             options,
             estimate=replace(options.estimate, **{k: v for k, v in changes.items() if v is not None}),
-            detect=replace(options.detect, **detect),
+            detect=replace(options.detect, **{k: v for k, v in detect.items() if v is not None}),
         )
         result = run(
             image1,
