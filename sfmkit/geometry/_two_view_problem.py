@@ -223,6 +223,16 @@ def linearise(state: State, problem: Problem, damping: Tensor | None = None, nea
     return Linearised(S, reduced[..., :m, m], Z, L, H)
 
 
+def settle_points(state: State, problem: Problem, damping: Tensor) -> State:
+    """One step of the points alone, at the cameras as they are."""
+    J = weigh(jacobian(state, problem), problem)
+    L = _point_factor(J, damping[..., None])
+    a, b, c = _whiten(L, _onto_point(J, J.residual1, J.residual2))
+    steps = back_substitute(L, (-a, -b, -c))
+    u, v, w = (y + step for y, step in zip(state.y, steps))
+    return state._replace(y=(u, v, w))
+
+
 def _onto_residual(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Tensor:
     """``r^T c`` for one column of the camera Jacobian."""
     one = 0.0 if c1 is None else _dot2(J.residual1, c1)
