@@ -71,7 +71,7 @@ def has(create: str) -> bool:
 def _create(what: str, create: str, options: dict[str, Any]) -> cv2.Feature2D:
     try:
         return attrgetter(create)(cv2)(**options)
-    except (cv2.error, TypeError, OverflowError) as error:
+    except (cv2.error, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"OpenCV does not accept these options of {what}: {options} ({_reason(error)})") from error
 
 

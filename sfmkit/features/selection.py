@@ -7,45 +7,62 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 
+ROBUSTNESS = 0.5  # a keypoint gives way to one twice as strong; see docs/benchmarks.md
+_LEAF_BITS = 6
 
-def suppression_radii(keypoints: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Distance from every keypoint to the nearest stronger one; infinite for the strongest.
 
-    Of equally strong ones the earlier row counts as stronger. (Brown, Szeliski & Winder 2005, eq. 5, with c = 1.)
+def suppression_radii(keypoints: np.ndarray, scores: np.ndarray, robustness: float = ROBUSTNESS) -> np.ndarray:
+    """Distance from every keypoint i to the nearest one j that is clearly stronger: ``score_i < robustness * score_j``.
+
+    (Brown, Szeliski & Winder 2005, section 3.) With a robustness of 1, the earlier of two equal ones is the stronger.
 
     Args:
         keypoints: (N, 2) pixels.
-        scores: (N,) strengths.
+        scores: (N,) strengths, not negative.
+        robustness: at most 1. The smaller it is, the less noise in the scores decides which keypoints are kept.
 
     Returns:
-        (N,) float64 pixels.
+        (N,) float64 pixels; infinite where there is no clearly stronger one.
     """
     order = np.argsort(-scores, kind="stable")
-    points = keypoints[order]
-    radii = np.full(len(points), np.inf)
-    # From weak to strong, the weaker half of what is left among all of it: a stronger neighbour is then close in rank,
-    # and a keypoint without one among its nearest few is rare and looks further.
-    end = len(points)
-    while end > 1:
-        tree = cKDTree(points[:end])
-        pending, k = np.arange(end // 2, end), 4
-        while len(pending):
-            k = min(k, end)
-            distance, neighbour = tree.query(points[pending], k=k)
-            stronger = neighbour < pending[:, None]
-            found = stronger.any(axis=1)
-            radii[pending[found]] = distance[found, stronger[found].argmax(axis=1)]
-            pending, k = pending[~found], 4 * k
-        end //= 2
-    radii[order] = radii.copy()
+    points, strength = keypoints[order], scores[order]
+    # In order of strength, the clearly stronger ones of i are the first stronger[i] points.
+    n = len(points)
+    stronger = np.arange(n) if robustness == 1 else np.searchsorted(-robustness * strength, -strength)
+    radii = np.empty(n)
+    radii[order] = _distance_to_first(points, stronger)
     return radii
+
+
+def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Distance from point i to the nearest of ``points[:first[i]]``; infinite where that is none.
+
+    The first m points are one block of 2^b points for every bit b that is set in m: each block has its own k-d tree,
+    and the last few points are tried one by one.
+    """
+    distance = np.full(len(points), np.inf)
+    for bit in range(_LEAF_BITS, int(first.max(initial=0)).bit_length()):
+        with_block = np.flatnonzero(first >> bit & 1)
+        start = first[with_block] >> (bit + 1) << (bit + 1)
+        order = np.argsort(start, kind="stable")
+        for queries in np.split(with_block[order], np.flatnonzero(np.diff(start[order])) + 1):
+            if len(queries):
+                at = first[queries[0]] >> (bit + 1) << (bit + 1)
+                tree = cKDTree(points[at : at + (1 << bit)], balanced_tree=False, compact_nodes=False)
+                distance[queries] = np.minimum(distance[queries], tree.query(points[queries])[0])
+    tail = first & ((1 << _LEAF_BITS) - 1)
+    for k in range(1, 1 << _LEAF_BITS):
+        queries = np.flatnonzero(tail >= k)
+        distance[queries] = np.minimum(distance[queries], np.hypot(*(points[queries] - points[first[queries] - k]).T))
+    return distance
 
 
 def select_evenly(keypoints: np.ndarray, scores: np.ndarray, budget: int, size_wh: tuple[int, int]) -> np.ndarray:
     """At most `budget` keypoints, strong ones, spread over the image: adaptive non-maximal suppression.
 
-    Kept are those that dominate the largest neighbourhoods: the `budget` largest distances to the nearest stronger
-    keypoint (Brown, Szeliski & Winder 2005, section 3).
+    Kept are those that rule the largest neighbourhoods: the `budget` largest distances to the nearest clearly stronger
+    keypoint (Brown, Szeliski & Winder 2005, section 3); where more are ruled by none, the largest distances to any
+    stronger one.
 
     Args:
         keypoints: (N, 2) pixels.
@@ -70,6 +87,10 @@ def select_evenly(keypoints: np.ndarray, scores: np.ndarray, budget: int, size_w
         raise InputError(f"keypoints lie outside the {size_wh[0]} x {size_wh[1]} image")
     if len(keypoints) <= budget:
         return np.arange(len(keypoints))
+    scores = scores - min(0.0, scores.min())
     radii = suppression_radii(keypoints, scores)
-    order = np.lexsort((np.arange(len(radii)), -scores, -radii))
-    return np.sort(order[:budget])
+    ruled_by_none = np.flatnonzero(np.isinf(radii))
+    if len(ruled_by_none) > budget:
+        radii = suppression_radii(keypoints[ruled_by_none], scores[ruled_by_none], robustness=1)
+        return ruled_by_none[np.sort(np.lexsort((-scores[ruled_by_none], -radii))[:budget])]
+    return np.sort(np.lexsort((-scores, -radii))[:budget])

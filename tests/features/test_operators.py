@@ -412,7 +412,8 @@ def test_mask_keeps_what_it_covers_and_nothing_else(image):
         ({"preset": "best"}, "preset"), ({"hessian_threshold": 3}, "fastThreshold=7"),
         ({"nfeatures": -1}, "nfeatures"), ({"nfeatures": 2.5}, "nfeatures"), ({"nfeatures": True}, "nfeatures"),
         ({"scaleFactor": float("nan")}, "scaleFactor"), ({"scaleFactor": "1.2"}, "scaleFactor"),
-        ({"subpixel": 1}, "True or False"),
+        ({"subpixel": 1}, "True or False"), ({"nlevels": 0}, "from 1 to 16"), ({"scaleFactor": 1.0}, "from 1.01"),
+        ({"nfeatures": 10**12}, "does not accept"), ({"patchSize": 0}, "could not run|does not accept"),
     ],
 )  # fmt: skip
 def test_bad_options_are_refused_with_what_to_do(options, hint, image):
