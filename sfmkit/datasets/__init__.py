@@ -17,7 +17,7 @@ def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -
     """The pairs of a data set.
 
     Args:
-        dataset: ``oxford``, ``hpatches``, ``strecha``, ``uav`` or ``synthetic``. For ``colmap`` and ``pair`` call
+        dataset: ``oxford``, ``hpatches``, ``strecha``, ``uav``, ``synthetic`` or ``planes``. For ``colmap`` and ``pair`` call
             :func:`sfmkit.datasets.colmap.colmap` and make a :class:`Pair`: they take files.
         data: folder that holds the data set; None: the environment variable ``SFMKIT_DATA``, or what was fetched.
         options: of the iterator, such as ``sequences``.
@@ -29,6 +29,10 @@ def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -
         from .synthetic_pairs import synthetic
 
         return synthetic(**options)
+    if dataset == "planes":
+        from .planes import planes
+
+        return planes(**options)
     if dataset not in ("oxford", "hpatches", "strecha", "uav"):
-        raise InputError(f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav and synthetic")
+        raise InputError(f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav, synthetic and planes")
     return getattr(import_module(f".{dataset}", __name__), dataset)(data, **options)
