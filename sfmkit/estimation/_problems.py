@@ -33,15 +33,16 @@ _SEARCH_CELLS = 96
 _POLISH = ((4.0, 4), (1.5, 20))  # thresholds, relative, and steps of the last fit
 
 
-def quick_score(v: Tensor) -> Tensor:
-    """(M,) summed scores of the (M, N) squared residuals over the squared threshold; overwrites v.
+def quick_scores(v: Tensor, weights: Tensor | None) -> Tensor:
+    """(M,) summed scores of (M, N) squared residuals over the squared threshold, weighted by (N,).
 
-    ``(1 - v)^7`` follows the marginal score to 0.004 and takes five multiplications.
+    With ``a = 1 - v``, ``a^4 (1 + 2 a) / 3`` follows the marginal score to 0.011 at a fraction of its price.
     """
-    v.neg_().add_(1).clamp_(min=0)
-    square = v * v
-    v.mul_(square)
-    return (v * square.mul_(square)).sum(-1)
+    a = torch.rsub(v, 1).relu_()
+    b = a * a
+    b.mul_(b)
+    a.mul_(2 / 3).add_(1 / 3)
+    return torch.linalg.vecdot(a, b) if weights is None else a.mul_(b) @ weights
 
 
 class Problem(ABC):
@@ -88,13 +89,9 @@ class Problem(ABC):
         """(M,) mean score per match over the first `upto` matches."""
         rows = max(1, _BLOCK // upto)
         out = []
+        weights = None if self.weights32 is None else self.weights32[:upto]
         for block in models.split(rows):
-            v = self.squares(block, upto)
-            if self.weights32 is None:
-                out.append(quick_score(v))
-            else:
-                v.neg_().add_(1).clamp_(min=0)
-                out.append(v.pow(7) @ self.weights32[:upto])
+            out.append(quick_scores(self.squares(block, upto), weights))
         return torch.cat(out) / upto if out else torch.zeros(0, device=self.x1.device)
 
     def _refit(self, fit, models: Tensor, x1: Tensor, x2: Tensor, w: Tensor) -> Tensor:

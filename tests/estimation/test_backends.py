@@ -10,10 +10,12 @@ from made_up_scene import make_scene, same_up_to_sign
 
 from sfmkit.errors import InputError
 from sfmkit.estimation import opencv, peers, robust
+from sfmkit.estimation._problems import quick_scores
 from sfmkit.estimation.robust import essential_score
 from sfmkit.geometry.essential import decompose_essential, essential_from_pose
 from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
 from sfmkit.geometry.homography import homography_from_pose, transfer
+from sfmkit.geometry.losses import marginal_score
 from sfmkit.geometry.pose import rotation_error, translation_error
 
 GENERAL = make_scene(800, noise=0.3, outliers=0.5)
@@ -189,3 +191,9 @@ def test_cuda_finds_the_same_pose():
 def test_true_essential_matrix_scores_high():
     score = essential_score(TRUE_E, GENERAL.x1, GENERAL.x2, GENERAL.K1, GENERAL.K2, 1.0)
     assert 200 < float(score) < 420
+
+
+def test_quick_score_follows_the_marginal_score():
+    v = torch.linspace(0, 1.5, 301)[:, None]
+    assert float((quick_scores(v, None) - marginal_score(v.double(), 1.0)[:, 0]).abs().max()) < 0.012
+    assert torch.allclose(quick_scores(v.T, torch.ones(301)), quick_scores(v.T, None))
