@@ -43,14 +43,10 @@ def fuse(
     """
     _check(matches, merge_radius)
     per_operator = list(matches.values())
-    x1, x2 = (
-        np.concatenate([f[side].keypoints[(f[2].index1, f[2].index2)[side]] for f in per_operator]).astype(np.float64)
-        for side in (0, 1)
-    )
-    index1, index2, distance, ratio = (
-        np.concatenate([getattr(m, name) for _, _, m in per_operator])
-        for name in ("index1", "index2", "distance", "ratio")
-    )
+    x1 = np.concatenate([f1.keypoints[m.index1] for f1, _, m in per_operator]).astype(np.float64)
+    x2 = np.concatenate([f2.keypoints[m.index2] for _, f2, m in per_operator]).astype(np.float64)
+    distance, ratio = (np.concatenate([getattr(m, name) for *_, m in per_operator]) for name in ("distance", "ratio"))
+    index1, index2 = (np.concatenate([getattr(m, name) for *_, m in per_operator]) for name in ("index1", "index2"))
     operator_id = np.repeat(np.arange(len(matches)), [len(m) for _, _, m in per_operator])
     mask = np.left_shift(1, operator_id)
 
@@ -69,9 +65,22 @@ def fuse(
         name: OperatorCounts(keypoints=(len(f1), len(f2)), matches=len(m), merged=int(n))
         for (name, (f1, f2, m)), n in zip(matches.items(), lost)
     }
-    floats = (torch.from_numpy(a[kept].astype(np.float64)) for a in (x1, x2, distance, ratio))
-    integers = (torch.from_numpy(a[kept].astype(np.int64)) for a in (operator_id, mask, index1, index2))
-    return Correspondences(*floats, *integers, operators=tuple(matches), counts=counts)
+
+    def tensor(a: np.ndarray, dtype: type) -> torch.Tensor:
+        return torch.from_numpy(a[kept].astype(dtype))
+
+    return Correspondences(
+        x1=tensor(x1, np.float64),
+        x2=tensor(x2, np.float64),
+        distance=tensor(distance, np.float64),
+        ratio=tensor(ratio, np.float64),
+        operator_id=tensor(operator_id, np.int64),
+        operator_mask=tensor(mask, np.int64),
+        index1=tensor(index1, np.int64),
+        index2=tensor(index2, np.int64),
+        operators=tuple(matches),
+        counts=counts,
+    )
 
 
 def _check(matches: Mapping[str, tuple[Features, Features, Matches]], merge_radius: float | None) -> None:
@@ -88,7 +97,7 @@ def _check(matches: Mapping[str, tuple[Features, Features, Matches]], merge_radi
         )
     for name, (f1, f2, m) in matches.items():
         for f, index in ((f1, m.index1), (f2, m.index2)):
-            if len(index) and not (0 <= index.min() and index.max() < len(f)):
+            if len(index) and not (index.min() >= 0 and index.max() < len(f)):
                 raise InputError(
                     f"the matches of '{name}' point outside its {len(f)} features; were they made from others?"
                 )

@@ -22,28 +22,10 @@ from torch import Tensor
 from .errors import InputError
 from .types import Features, Matches
 
-
-@dataclass(frozen=True)
-class _Found:
-    """What a search over some rows found.
-
-    Attributes:
-        best, second: (R,) columns of the highest and second-highest score of every row.
-        value: (R,) the highest score.
-        leads: (R,) whether it exceeds that of every earlier row in the same column.
-        column_best: (width,) the highest score in every column.
-    """
-
-    best: Tensor
-    second: Tensor
-    value: Tensor
-    leads: Tensor
-    column_best: Tensor
-
-
 _BLOCK = 128  # columns whose largest score is taken first; the argmax then searches one block in place of a whole row
-_STRIP = {"cpu": 1 << 20, "cuda": 1 << 26}  # entries of the product formed at a time: 4 MiB stays in a CPU's cache
+_STRIP = {"cpu": 5 << 18, "cuda": 1 << 26}  # entries of the product formed at a time: 5 MiB stay in a CPU's cache
 _PART = 1024  # rows that one core searches in a go
+_MANY = 64  # candidates within rounding of the nearest that are measured one by one
 
 
 def match(
@@ -136,65 +118,161 @@ def _match_rows(
     if not len(rows1) or not len(rows2):
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
     a, b = descriptors1[rows1], descriptors2[rows2]
-    operands = _l2_operands if norm == "l2" else _hamming_operands
-    found = _nearest(*operands(a, b, torch.device(device or "cpu")), mutual)
-    i, j, second = (t.cpu().numpy() for t in found)
-
+    vectors = _l2_vectors if norm == "l2" else _hamming_vectors
     measure = _l2_distance if norm == "l2" else _hamming_distance
+    i, j, second = _nearest(*vectors(a, b, torch.device(device or "cpu")), mutual, lambda i, j: measure(a[i], b[j]))
+
     distance = measure(a[i], b[j])
     if len(rows2) == 1:
-        ratio = np.full(len(i), np.nan, dtype=np.float32)
+        ratio = np.full(len(i), np.nan)
     else:
+        # Two candidates at distance 0 are as ambiguous as can be: ratio 1.
         runner_up = measure(a[i], b[second])
-        # Two candidates at distance 0 are as ambiguous as can be: ratio 1. Rounding may swap the nearest two: clip.
-        ratio = np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0).clip(max=1)
-    return rows1[i], rows2[j], distance, ratio
+        ratio = np.divide(distance, runner_up, out=np.ones(len(i)), where=runner_up > 0)
+    return rows1[i], rows2[j], distance.astype(np.float32), ratio.astype(np.float32)
 
 
-def _l2_operands(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Tensor, Tensor]:
-    """(N1, D + 2) and (N2, D + 2) whose product is -|a - b|²/2."""
+def _l2_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(M,) distances between corresponding rows."""
+    return np.linalg.norm(np.subtract(a, b, dtype=np.float64), axis=1)
+
+
+def _hamming_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(M,) numbers of bits that differ between corresponding rows."""
+    return np.bitwise_count(a ^ b).sum(axis=1, dtype=np.float64)
+
+
+def _l2_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Tensor, Tensor, float]:
+    """(N1, D + 2) and (N2, D + 2) whose product is -|a - b|²/2, and how far two such numbers may be off together."""
     # Distances do not change when both sets are shifted, and shorter vectors lose fewer digits. The shift is a whole
     # number, so that integer descriptors (SIFT) stay integers, whose products are exact.
-    centre = np.round(a.mean(axis=0, dtype=np.float64))
-    ta, tb = (torch.from_numpy(np.subtract(x, centre, dtype=np.float32)).to(device) for x in (a, b))
+    centre = np.round(b.mean(axis=0, dtype=np.float64))
+    a, b = (np.subtract(x, centre, dtype=np.float32) for x in (a, b))
+    longest = max(float(np.square(x, dtype=np.float64).sum(1).max()) for x in (a, b))
+    exact = longest < 2**22 and all((x == np.rint(x)).all() for x in (a, b))
+    terms = a.shape[1] + 2
+    # Each sum of products is off by at most `terms` roundings of its terms' magnitudes, here |a||b| + |a|²/2 + |b|²/2
+    # (Higham 2002, section 3.1); a comparison involves two of them.
+    tolerance = 0.0 if exact else 2 * terms * 2.0**-24 * 2 * longest
+    ta, tb = (torch.from_numpy(x).to(device) for x in (a, b))
     half_a, half_b = (-t.double().square().sum(1, keepdim=True).float() / 2 for t in (ta, tb))
-    return torch.cat([ta, half_a, torch.ones_like(half_a)], 1), torch.cat([tb, torch.ones_like(half_b), half_b], 1)
+    ones_a, ones_b = torch.ones_like(half_a), torch.ones_like(half_b)
+    return torch.cat([ta, half_a, ones_a], 1), torch.cat([tb, ones_b, half_b], 1), tolerance
 
 
-def _hamming_operands(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Tensor, Tensor]:
-    """(N1, D) and (N2, D) of ±1, whose product falls by 2 with every bit that differs."""
-    dtype = torch.int8 if device.type == "cpu" and _has_fast_int8() else torch.float32
+def _hamming_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Tensor, Tensor, float]:
+    """(N1, D) and (N2, D) of ±1, whose product falls by 2 with every bit that differs, and is exact."""
+    dtype = torch.int8 if device.type == "cpu" and _has_onednn("AVX") else torch.float32
     ta, tb = (torch.from_numpy(np.unpackbits(x, axis=1).astype(np.int8) * 2 - 1) for x in (a, b))
-    return ta.to(device, dtype), tb.to(device, dtype)
+    return ta.to(device, dtype), tb.to(device, dtype), 0.0
 
 
-def _has_fast_int8() -> bool:
-    """Whether this CPU multiplies int8 matrices in vector instructions (float32, as exact here, is the slower way)."""
-    return torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability().startswith("AVX")
+def _has_onednn(instructions: str) -> bool:
+    """Whether torch has oneDNN here, on a processor with (at least) these vector instructions."""
+    return torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability().startswith(instructions)
 
 
-def _nearest(a: Tensor, b: Tensor, mutual: bool) -> tuple[Tensor, Tensor, Tensor]:
+Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of rows i of image 1 and rows j of image 2
+
+
+def _nearest(
+    a: Tensor, b: Tensor, tolerance: float, mutual: bool, distance: Distance
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows i of `a`, and the rows j and k of `b` with the highest and second-highest scores ``a @ b.T`` in row i.
 
-    With `mutual`, only the rows i that are best in column j. That is recognised by value, since finding where a column's
-    largest entry sits costs several times as much as finding how large it is: row i must exceed every earlier row in column
-    j, and its score must still be the column's largest in the end.
+    With `mutual`, only the rows i that are best in column j. That is seen from how large the column's two largest entries
+    are, since finding where they sit costs several times as much. What the scores leave open, because they differ by no
+    more than `tolerance`, is searched again and decided by `distance`.
     """
     n2 = len(b)
-    bt = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])]).t()
-    parts = _map_on_cores(lambda part: _search(part, bt, n2, mutual), a.split(_PART) if a.device.type == "cpu" else [a])
-
-    best, second, value, leads = (
-        torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "leads")
+    padded = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])])
+    parts = _map_on_cores(lambda part: _search(part, padded, n2, mutual), a.split(_PART) if a.is_cpu else [a])
+    best, second, value, second_value, rival = (
+        torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "second_value", "rival")
     )
-    if not mutual:
-        return torch.arange(len(a), device=a.device), best, second
-    column_best = torch.stack([p.column_best for p in parts])
-    part = torch.arange(len(a), device=a.device) // len(parts[0].best)
-    earlier = column_best.cummax(0).values.roll(1, 0)
-    earlier[0] = _lowest(earlier.dtype)
-    row = torch.nonzero(leads & (value > earlier[part, best]) & (value == column_best.amax(0)[best])).flatten()
-    return row, best[row], second[row]
+    if tolerance:
+        open_rows = torch.nonzero(second_value >= value - tolerance).flatten()
+        i = open_rows.cpu().numpy()
+        found, next_to_it = _search_exactly(a[open_rows], b, tolerance, lambda u, j: distance(i[u], j))
+        other = torch.where(found == best[open_rows], second[open_rows], best[open_rows])
+        best[open_rows], second[open_rows] = found, torch.where(next_to_it < 0, other, next_to_it)
+    rows = torch.arange(len(a), device=a.device)
+    if mutual:
+        first, runner_up = torch.cat([p.column_best for p in parts]).topk(2, dim=0).values
+        rival = torch.maximum(rival, torch.where(value == first[best], runner_up[best], first[best]))
+        leads = value > rival + tolerance
+        doubt = torch.nonzero((value >= rival - tolerance) & ~leads).flatten()
+        columns, of = best[doubt].unique(return_inverse=True)
+        j = columns.cpu().numpy()
+        found, _ = _search_exactly(b[columns], a, tolerance, lambda v, i: distance(i, j[v]))
+        leads[doubt] = found[of] == doubt
+        rows = rows[leads]
+    i, j, k = (t.cpu().numpy() for t in (rows, best[rows], second[rows]))
+    return i, j, k
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search over some rows found.
+
+    Attributes:
+        best, second: (R,) columns of the highest and second-highest score of every row.
+        value, second_value: (R,) those scores.
+        rival: (R,) the highest score of the other rows of the same strip in the column `best`.
+        column_best: (2, width) the largest and second-largest of the strips' highest scores in every column.
+    """
+
+    best: Tensor
+    second: Tensor
+    value: Tensor
+    second_value: Tensor
+    rival: Tensor
+    column_best: Tensor
+
+
+def _search(a: Tensor, b: Tensor, n2: int, mutual: bool) -> _Found:
+    """The two highest scores in every row of ``a @ b[:n2].T``, and in every column if `mutual`, strip by strip."""
+    strip = _strip(a, b)
+    out = torch.empty((strip, len(b)), dtype=torch.int32 if a.dtype == torch.int8 else a.dtype, device=a.device)
+    lowest = _lowest(out.dtype)
+    best, second = (torch.empty(len(a), dtype=torch.int64, device=a.device) for _ in range(2))
+    value, second_value, rival = (out.new_full((len(a),), lowest) for _ in range(3))
+    first, runner_up = column_best = out.new_full((2, len(b)), lowest)
+    for start in range(0, len(a), strip):
+        rows = slice(start, min(start + strip, len(a)))
+        s = _product(a[rows], b, out[: rows.stop - start])
+        s[:, n2:] = lowest
+        best[rows], second[rows], value[rows], second_value[rows] = _two_largest(s.view(len(s), -1, _BLOCK))
+        if mutual:
+            rival[rows] = s[:, best[rows]].fill_diagonal_(lowest).amax(0)
+            highest = s.amax(0)
+            torch.maximum(runner_up, torch.minimum(first, highest), out=runner_up)
+            torch.maximum(first, highest, out=first)
+    return _Found(best, second, value, second_value, rival, column_best)
+
+
+def _search_exactly(a: Tensor, b: Tensor, tolerance: float, distance: Distance) -> tuple[Tensor, Tensor]:
+    """(R,) the rows of `b` nearest and second-nearest to every row of `a` by `distance`; of equally near ones, the lowest.
+
+    Only rows whose score is within `tolerance` of the highest are measured. Where these are many, nearly all descriptors are
+    the same, and they count as equally near. The second is -1 where it was not among those measured.
+    """
+    strip, dtype = _strip(a, b), torch.int32 if a.dtype == torch.int8 else a.dtype
+    nearest, second = (a.new_full((len(a),), -1, dtype=torch.int64) for _ in range(2))
+    for start in range(0, len(a), strip):
+        part = a[start : start + strip]
+        s = _product(part, b, part.new_empty((len(part), len(b)), dtype=dtype))
+        near = s >= s.amax(1, keepdim=True) - tolerance
+        nearest[start : start + strip] = near.byte().argmax(1)
+        if tolerance:
+            near &= near.sum(1, keepdim=True) <= _MANY
+            u, j = (t.cpu().numpy() for t in torch.nonzero(near, as_tuple=True))
+            order = np.lexsort((j, distance(start + u, j), u))
+            row, column = (torch.from_numpy(t[order]).to(a.device) for t in (start + u, j))
+            rank = torch.arange(len(row), device=a.device) - torch.searchsorted(row, row)
+            nearest[row[rank == 0]] = column[rank == 0]
+            second[row[rank == 1]] = column[rank == 1]
+    return nearest, second
 
 
 def _map_on_cores(function: Callable[[Tensor], _Found], parts: Sequence[Tensor]) -> list[_Found]:
@@ -213,65 +291,44 @@ def _map_on_cores(function: Callable[[Tensor], _Found], parts: Sequence[Tensor])
         torch.set_num_threads(threads)  # a worker's setting is also the default of threads to come
 
 
-def _search(a: Tensor, bt: Tensor, n2: int, mutual: bool) -> _Found:
-    """The two highest scores in every row of ``a @ bt[:, :n2]``, strip by strip."""
-    n1, width = len(a), bt.shape[1]
-    integer = a.dtype == torch.int8
-    product = torch._int_mm if integer else torch.mm
-    strip = min(n1, max(16, _STRIP[a.device.type] // width))
-    scores = torch.empty((strip, width), dtype=torch.int32 if integer else a.dtype, device=a.device)
-    lowest = _lowest(scores.dtype)
-
-    best, second = (torch.empty(n1, dtype=torch.int64, device=a.device) for _ in range(2))
-    value = scores.new_empty(n1)
-    leads = torch.ones(n1, dtype=torch.bool, device=a.device)
-    column_best = scores.new_full((width,), lowest)
-    for start in range(0, n1, strip):
-        rows = slice(start, min(start + strip, n1))
-        s = scores[: rows.stop - start]
-        product(a[rows], bt, out=s)
-        s[:, n2:] = lowest
-        best[rows], second[rows], value[rows] = _two_largest(s.view(len(s), -1, _BLOCK))
-        if mutual:
-            rivals = s[:, best[rows]]
-            first_in_strip = rivals.argmax(0) == torch.arange(len(s), device=a.device)
-            leads[rows] = first_in_strip & (value[rows] > column_best[best[rows]])
-            torch.maximum(column_best, s.amax(0), out=column_best)
-    return _Found(best, second, value, leads, column_best)
+def _strip(a: Tensor, b: Tensor) -> int:
+    """How many rows of `a` to multiply with `b` at a time."""
+    return max(1, min(len(a), max(32, _STRIP[a.device.type] // len(b) // 32 * 32)))
 
 
-def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Columns of the largest and second-largest entry of every row of (R, blocks, block), and the largest entry itself.
+def _product(a: Tensor, b: Tensor, out: Tensor) -> Tensor:
+    """``a @ b.T``, in `out` or, where the fastest way has no such argument, in a new tensor."""
+    if a.dtype == torch.int8:
+        return torch._int_mm(a, b.t(), out=out)
+    if a.is_cpu and _has_onednn("AVX512"):
+        # torch.mm calls MKL, which leaves AVX-512 alone on processors of other makers and then takes twice as long.
+        return torch.ops.mkldnn._linear_pointwise(a, b, None, "none", [], "")
+    return torch.mm(a, b.t(), out=out)
+
+
+def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Columns of the largest and second-largest entry of every row of (R, blocks, block), then the entries themselves.
 
     Both lie in the two blocks with the largest maxima, and only those are searched. Of equal entries the first counts.
     """
     r, _, size = scores.shape
     lowest = _lowest(scores.dtype)
-    row = torch.arange(r, device=scores.device)[:, None]
     maxima = scores.amax(2)
     block1 = maxima.argmax(1, keepdim=True)
     block2 = maxima.scatter(1, block1, lowest).argmax(1, keepdim=True)
     block = torch.cat([block1, block2], 1)
-    finalists = scores[row, block].flatten(1)
+    finalists = scores[torch.arange(r, device=scores.device)[:, None], block]
     # With a single block both are the same one: its copy must not come second to itself.
-    finalists[:, size:].masked_fill_(block1 == block2, lowest)
+    finalists[:, 1].masked_fill_(block1 == block2, lowest)
+    finalists = finalists.flatten(1)
     place1 = finalists.argmax(1, keepdim=True)
-    value = finalists.gather(1, place1)
-    place2 = finalists.scatter(1, place1, lowest).argmax(1, keepdim=True)
+    value1 = finalists.gather(1, place1)
+    place2 = finalists.scatter_(1, place1, lowest).argmax(1, keepdim=True)
+    value2 = finalists.gather(1, place2)
     column1, column2 = (block.gather(1, p // size) * size + p % size for p in (place1, place2))
-    return column1[:, 0], column2[:, 0], value[:, 0]
+    return column1[:, 0], column2[:, 0], value1[:, 0], value2[:, 0]
 
 
 def _lowest(dtype: torch.dtype) -> float:
     """Less than every score."""
     return -torch.inf if dtype.is_floating_point else torch.iinfo(dtype).min
-
-
-def _l2_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(M,) distances between corresponding rows."""
-    return np.linalg.norm(np.subtract(a, b, dtype=np.float64), axis=1).astype(np.float32)
-
-
-def _hamming_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(M,) numbers of bits that differ between corresponding rows."""
-    return np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int64).astype(np.float32)
