@@ -1,0 +1,187 @@
+"""Two images of a plane, or from one place, to the homography between them, with an account of the operators' shares.
+
+    >>> result = register("img1.png", "img2.png")
+    >>> result.H, result.verdict, result.reason
+
+The homography's counterpart of :func:`sfmkit.reconstruct`; detection, matching and fusion are the same.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .account import OperatorAccount, make_account
+from .estimation.planar import PAPER_PLANAR, PlanarFit, PlanarOptions, estimate_planar
+from .fusion import fuse
+from .geometry.homography import homography_sampson
+from .geometry.homography_refinement import refine_homography
+from .guided import match_guided
+from .images import Image, read_image
+from .options import DEFAULT, FuseOptions, Options
+from .pipeline import (
+    OPERATORS_OF_THE_PAPER,
+    FeaturePairs,
+    ImageLike,
+    Progress,
+    Stopwatch,
+    detect_all,
+    match_all,
+)
+from .types import Correspondences, Matches, Verdict
+
+_ROUNDS = 2  # of guided matching: the second starts from a better homography
+_RADIUS = 2.0  # guided matching looks this many thresholds around the predicted position
+_DISTANCE_QUANTILE = 0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
+_LEAST_INLIERS = 10  # of an operator, to know its descriptor distances
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """How image 2 lies on image 1, and what that rests on.
+
+    Attributes:
+        H: (3, 3) float64, ``x2 = H x1`` in pixels, ``H[2, 2] = 1``; None for too little evidence.
+        inliers: (N,) bool over `correspondences`.
+        verdict: planar, or too little evidence.
+        reason: the verdict in words.
+        evidence: the numbers that it rests on (:class:`~sfmkit.estimation.planar.PlanarFit`).
+        correspondences: fused, of the whole images.
+        guided: matched again under the homography; what the final H is fitted to. None where that was not done.
+        account: per operator and for all, what went in and agreed.
+        timings_s: seconds per stage.
+        notes: what went not quite as asked.
+    """
+
+    H: Tensor | None
+    inliers: Tensor
+    verdict: Verdict
+    reason: str
+    evidence: Mapping[str, float]
+    correspondences: Correspondences
+    guided: Correspondences | None
+    account: Mapping[str, OperatorAccount]
+    timings_s: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+
+def register(
+    image1: ImageLike,
+    image2: ImageLike,
+    operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    *,
+    options: Options = DEFAULT,
+    planar: PlanarOptions | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Registration:
+    """The homography between two images.
+
+    Args:
+        image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
+        operators: names of operators, or ``detector+descriptor``.
+        options: of detection, matching and fusion.
+        planar: of the estimation; None for ours, or the paper's where `options` are the paper's.
+        seed: the same seed gives the same result on the same machine.
+        progress: called with (stage, what is being done).
+
+    Raises:
+        InputError: images and operators that cannot be used. Images that do not show one plane are not an error: they
+            are the verdict.
+    """
+    watch = Stopwatch(progress)
+    began = time.perf_counter()
+    with watch.stage("read", "images"):
+        images: tuple[Image, Image] = (read_image(image1), read_image(image2))
+    with watch.stage("detect"):
+        features, notes = detect_all(images, operators, options.detect, watch)
+    with watch.stage("match"):
+        matches = match_all(features, options.match, watch)
+    result = register_matches(features, matches, options=options, planar=planar, seed=seed, watch=watch)
+    watch.seconds["total"] = time.perf_counter() - began
+    return Registration(**{**vars(result), "timings_s": dict(watch.seconds), "notes": tuple(notes)})
+
+
+def register_matches(
+    features: FeaturePairs,
+    matches: Mapping[str, Matches],
+    *,
+    options: Options = DEFAULT,
+    planar: PlanarOptions | None = None,
+    seed: int = 0,
+    watch: Stopwatch | None = None,
+) -> Registration:
+    """:func:`register` from the matches on, for those who have them already."""
+    watch = watch or Stopwatch()
+    planar = planar or (PAPER_PLANAR if options.name == "paper" else PlanarOptions())
+    with watch.stage("fuse", "matches of all operators"):
+        corr = fuse_all(features, matches, options.fuse)
+    with watch.stage("estimate", "homography"):
+        fit = estimate_planar(corr, planar, seed=seed)
+        guided = None
+        if fit.H is not None and planar.guided:
+            fit, guided = _guide(features, corr, fit, options.fuse, planar)
+    return Registration(
+        H=fit.H,
+        inliers=fit.inliers,
+        verdict=Verdict.TOO_LITTLE if fit.H is None else Verdict.PLANAR,
+        reason=fit.reason,
+        evidence=dict(fit.evidence),
+        correspondences=corr,
+        guided=guided,
+        account=make_account(corr, fit.inliers, None),
+        timings_s=dict(watch.seconds),
+    )
+
+
+def fuse_all(features: FeaturePairs, matches: Mapping[str, Matches], options: FuseOptions) -> Correspondences:
+    """Stage 2, fusion: the matches of all operators in one set."""
+    return fuse({name: (*features[name], matches[name]) for name in matches}, merge_radius=options.merge_radius)
+
+
+def _guide(
+    features: FeaturePairs, corr: Correspondences, fit: PlanarFit, options: FuseOptions, planar: PlanarOptions
+) -> tuple[PlanarFit, Correspondences | None]:
+    """The fit improved on matches that were looked for under it, and those matches."""
+    limits = {}
+    for name in corr.operators:
+        mine = corr.distance[fit.inliers & corr.found_by(name) & (corr.operator_id == corr.operators.index(name))]
+        if len(mine) >= _LEAST_INLIERS:
+            limits[name] = float(torch.quantile(mine, _DISTANCE_QUANTILE))
+    if not limits:
+        return fit, None
+    assert fit.H is not None
+    H = fit.H
+    for _ in range(_ROUNDS):
+        found = {
+            name: match_guided(
+                *features[name], H.numpy(), radius_px=_RADIUS * planar.threshold_px, max_distance=limit
+            )
+            for name, limit in limits.items()
+        }
+        guided = fuse_all(features, found, options)
+        H = refine_homography(
+            H, guided.x1, guided.x2, localisation_weights(guided, H), threshold_px=planar.threshold_px
+        )
+    inliers = homography_sampson(H, corr.x1, corr.x2) < planar.threshold_px**2
+    return PlanarFit(H, inliers, fit.reason, fit.evidence), guided
+
+
+def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
+    """(N,) how well each match is likely to be localised, relative to the others.
+
+    Operators differ in precision: each counts by the inverse square of its median distance to H. Within an operator, the
+    better two descriptors agree, the better do their positions. And a crowd of matches on one detail should not decide for
+    the whole image.
+    """
+    e = homography_sampson(H, guided.x1, guided.x2).sqrt()
+    weight = (1.2 - guided.ratio.nan_to_num(nan=1.0)).square()
+    for k in range(len(guided.operators)):
+        mine = guided.operator_id == k
+        if mine.any():
+            weight[mine] /= e[mine].median().clamp(min=0.1).square()
+    return weight / weight.mean()
