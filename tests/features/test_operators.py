@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -16,13 +15,7 @@ from sfmkit.features import DESCRIPTORS, DETECTORS, OPERATORS, available, detect
 from sfmkit.features import operators as operators_module
 from sfmkit.features.subpixel import fast_score, paraboloid_top
 
-HAS_SURF = find_spec("sfmkit.features.surf") is not None
 contrib = cv2.xfeatures2d
-
-
-def usable(name: str) -> bool:
-    spec = operator_spec(name)
-    return available(name)[0] and (HAS_SURF or "surf" not in (spec.detector, spec.descriptor))
 
 
 def texture(height: int = 300, width: int = 400, seed: int = 0) -> np.ndarray:
@@ -78,8 +71,8 @@ COMPOSED = (
 
 @pytest.mark.parametrize("name", [*OPERATORS, *COMPOSED])
 def test_every_operator_gives_sound_features_and_the_same_bits_again(name, image):
-    if not usable(name):
-        pytest.skip(f"{name}: {available(name)[1] or 'not there yet'}")
+    if not available(name)[0]:
+        pytest.skip(f"{name}: {available(name)[1]}")
     spec = operator_spec(name)
     f = detect(image, name)
     assert len(f) > 10
@@ -206,7 +199,7 @@ def test_blobs_are_found_where_they_are_at_every_working_size(name, max_size):
     error = nearest(f.keypoints, centres)
     found = np.hypot(*error.T) < 1
     assert found.mean() > 0.6  # SIFT overlooks some blobs whose scale lies between two octaves
-    assert np.abs(error[found].mean(axis=0)).max() < 0.02
+    assert np.abs(error[found].mean(axis=0)).max() < 0.04
     assert np.abs(error[found]).max() < 0.1
 
 
@@ -324,13 +317,10 @@ def test_colour_grey_and_image_objects_agree():
         np.testing.assert_array_equal(detect(given, "orb").descriptors, expected.descriptors)
 
 
-NO_SURF = [n for n in [*OPERATORS, "star+daisy", "mser+sift", "agast+latch", "fast+vgg", "sift+orb"] if n != "surf"]
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 5), (8, 8), (17, 17), (1, 300), (40, 40), (300, 400)])
 def test_blank_and_tiny_images_give_empty_features_of_the_right_shapes(shape):
-    for name in NO_SURF:
-        if not usable(name):
+    for name in (*OPERATORS, "star+daisy", "mser+sift", "agast+latch", "fast+vgg", "sift+orb", "fast+surf"):
+        if not available(name)[0]:
             continue
         spec = operator_spec(name)
         f = detect(np.full(shape, 117, np.uint8), name)
@@ -342,7 +332,7 @@ def test_blank_and_tiny_images_give_empty_features_of_the_right_shapes(shape):
         assert detect(noise, name, budget=5).size_wh == shape[::-1]
 
 
-@pytest.mark.parametrize("name", ["orb", "fast-brief", "gftt-brief", "agast+latch", "akaze", "brisk"])
+@pytest.mark.parametrize("name", ["surf", "orb", "fast-brief", "gftt-brief", "agast+latch", "akaze"])
 def test_images_40_000_pixels_wide_or_high(name):
     strip = texture(80, 40_000)
     for image in (strip, np.ascontiguousarray(strip.T)):
@@ -353,9 +343,9 @@ def test_images_40_000_pixels_wide_or_high(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sift", "kaze", "xfeat", "gftt+daisy", "mser+sift"])
+@pytest.mark.parametrize("name", ["sift", "kaze", "brisk", "xfeat", "gftt+daisy", "mser+sift"])
 def test_images_40_000_pixels_wide_slow_operators(name):
-    if not usable(name):
+    if not available(name)[0]:
         pytest.skip(available(name)[1])
     f = detect(texture(40, 40_000), name)
     assert len(f) > 20
@@ -493,6 +483,16 @@ def test_an_opencv_without_contrib_is_noticed_with_the_repair(monkeypatch, image
         assert "opencv-contrib-python-headless" in reason
         with pytest.raises(OperatorError, match="Repair"):
             detect(image, name)
+
+
+def test_learned_weights_load_without_a_word(image, capfd):
+    """Standard output belongs to the caller: the command line prints JSON there."""
+    if not available("xfeat")[0]:
+        pytest.skip(available("xfeat")[1])
+    f = detect(image, "xfeat", top_k=50)
+    assert len(f) == 50
+    np.testing.assert_allclose(np.linalg.norm(f.descriptors, axis=1), 1, atol=1e-5)
+    assert capfd.readouterr().out == ""
 
 
 def test_threads_side_by_side_change_nothing(image):
