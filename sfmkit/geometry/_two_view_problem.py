@@ -13,6 +13,7 @@ Components ``(*B, N)`` are kept apart as in ``_rays``; camera quantities are ``(
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -56,6 +57,11 @@ class Problem:
         x1, x2, weights, K1, K2 = (a.detach() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
         return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
 
+    def part(self, rows: slice) -> Problem:
+        """The problem of some of the matches."""
+        x1, x2 = self.x1[..., rows, :], self.x2[..., rows, :]
+        return Problem(x1, x2, self.weights[..., rows], self.K1, self.K2, self.loss, self.scale, self.focal)
+
     @property
     def requires_grad(self) -> bool:
         return any(a.requires_grad for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
@@ -83,8 +89,7 @@ class Problem:
 
     def cost(self, state: State) -> Tensor:
         """Half the weighted sum of the loss, (*B,), of each match's squared residual over both images."""
-        r1, r2 = residuals(state, self)
-        return 0.5 * (self.weights * self.loss_terms(r1, r2).value).sum(-1)
+        return _sum(0.5 * (p.weights * p.loss_terms(*residuals(s, p)).value).sum(-1) for s, p in in_chunks(state, self))
 
     def loss_terms(self, r1: Pair, r2: Pair) -> LossTerms:
         """The loss of every match, (*B, N), and its derivatives by the squared residual over both images."""
@@ -197,6 +202,26 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
     return Jacobian(*(times(part) for part in J[:4]), *times(J[4:]))  # type: ignore[arg-type]
 
 
+def in_chunks(state: State, problem: Problem) -> Iterator[tuple[State, Problem]]:
+    """State and problem, split such that the dozens of intermediate tensors stay in the processor's cache."""
+    n = problem.x1.shape[-2]
+    if n <= _CHUNK:
+        yield state, problem
+        return
+    for first in range(0, n, _CHUNK):
+        rows = slice(first, min(first + _CHUNK, n))
+        u, v, w = (a[..., rows] for a in state.y)
+        yield state._replace(y=(u, v, w)), problem.part(rows)
+
+
+_CHUNK = 65_536
+
+
+def _sum(terms: Iterable[Tensor]) -> Tensor:
+    first, *rest = terms
+    return sum(rest, first)
+
+
 def linearise(state: State, problem: Problem, damping: Tensor | None = None, near: Tensor | None = None) -> Linearised:
     """The reduced camera system.
 
@@ -204,6 +229,13 @@ def linearise(state: State, problem: Problem, damping: Tensor | None = None, nea
     loss's own curvature is used, which converges faster but only close to the minimum. With damping (*B,), every point's
     diagonal is scaled by 1 + damping.
     """
+    S, g, Z, L, H = zip(*(_linearise(s, p, damping, near) for s, p in in_chunks(state, problem)))
+    if len(S) == 1:
+        return Linearised(S[0], g[0], Z[0], L[0], H[0])
+    return Linearised(_sum(S), _sum(g), torch.cat(Z, -1), tuple(torch.cat(entry, -1) for entry in zip(*L)), _sum(H))
+
+
+def _linearise(state: State, problem: Problem, damping: Tensor | None, near: Tensor | None) -> Linearised:
     plain = jacobian(state, problem)
     J = weigh(plain, problem)
     L = _point_factor(J, 0.0 if damping is None else damping[..., None])
@@ -225,11 +257,13 @@ def linearise(state: State, problem: Problem, damping: Tensor | None = None, nea
 
 def settle_points(state: State, problem: Problem, damping: Tensor) -> State:
     """One step of the points alone, at the cameras as they are."""
-    J = weigh(jacobian(state, problem), problem)
-    L = _point_factor(J, damping[..., None])
-    a, b, c = _whiten(L, _onto_point(J, J.residual1, J.residual2))
-    steps = back_substitute(L, (-a, -b, -c))
-    u, v, w = (y + step for y, step in zip(state.y, steps))
+    settled = []
+    for s, p in in_chunks(state, problem):
+        J = weigh(jacobian(s, p), p)
+        L = _point_factor(J, damping[..., None])
+        a, b, c = _whiten(L, _onto_point(J, J.residual1, J.residual2))
+        settled.append([y + step for y, step in zip(s.y, back_substitute(L, (-a, -b, -c)))])
+    u, v, w = (torch.cat(parts, -1) for parts in zip(*settled))
     return state._replace(y=(u, v, w))
 
 

@@ -20,6 +20,7 @@ W = 0 comes out as three infinities (never NaN). Float32 input is worked in floa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
@@ -49,7 +50,7 @@ def triangulate(
     """
     if method not in _METHODS:
         raise InputError(f"unknown triangulation method {method!r}; known: {', '.join(_METHODS)}")
-    return _METHODS[method](xn1, xn2, R, t, homogeneous)
+    return _apply(_METHODS[method], xn1, xn2, R, t, homogeneous)
 
 
 def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -62,17 +63,7 @@ def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogene
 
     Source: Lindstrom, Triangulation made easy, CVPR 2010, listing 3 (niter2).
     """
-    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
-    x1, x2 = corrected_matches(xn1, xn2, R, t)
-    p, q = rotated_ray(R, *x1), image_ray(*x2)
-    c = components(t)
-    # The normal of the epipolar plane, from the ray further from the baseline; with it every depth is a ratio of
-    # volumes, linear in each ray, and stays regular where the rays are parallel.
-    pt, qt = cross(p, c), cross(q, c)
-    further = dot(pt, pt) * dot(q, q) > dot(qt, qt) * dot(p, p)
-    n = choose(further, pt, qt)
-    w = dot(cross(p, q), n)
-    return _finish(_middle(x1, q, R, c, dot(qt, n), dot(pt, n), w), x1[0], x1[1], homogeneous, dtype)
+    return _apply(_optimal, xn1, xn2, R, t, homogeneous)
 
 
 def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -82,13 +73,7 @@ def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogen
 
     Source: Hartley and Sturm, Triangulation, CVIU 1997, section 5.3; depths as ratios of triple products.
     """
-    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
-    x1, x2 = xn1.unbind(-1), xn2.unbind(-1)
-    p, q = rotated_ray(R, *x1), image_ray(*x2)
-    c = components(t)
-    n = cross(p, q)
-    X = _middle(x1, q, R, c, dot(cross(q, c), n), dot(cross(p, c), n), dot(n, n))
-    return _finish(X, x1[0], x1[1], homogeneous, dtype)
+    return _apply(_midpoint, xn1, xn2, R, t, homogeneous)
 
 
 def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
@@ -103,29 +88,7 @@ def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous:
 
     Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 12.2, equation 12.2 (homogeneous method).
     """
-    xn1, xn2, R, t, dtype = _double(xn1, xn2, R, t)
-    (x, y), (u, v) = xn1.unbind(-1), xn2.unbind(-1)
-    # Planes of image 2 in camera 1; those of image 1 are (1, 0, -x, 0) and (0, 1, -y, 0).
-    P = [[M[..., i, j, None] for j in range(4)] for M in (torch.cat((R, t[..., None]), -1),) for i in range(3)]
-    c = [P[0][j] - u * P[2][j] for j in range(4)]
-    d = [P[1][j] - v * P[2][j] for j in range(4)]
-    # Where both planes of image 1 meet one of image 2: on the ray of image 1.
-    meet_c = _on_ray(x, y, c)
-    meet_d = _on_ray(x, y, d)
-    # Where both planes of image 2 meet one of image 1: 3 x 3 minors of the two with (1, 0, -x, 0) or (0, 1, -y, 0).
-    m = {(i, j): c[i] * d[j] - c[j] * d[i] for i in range(4) for j in range(i + 1, 4)}
-    meet_x = [x * m[1, 3], -(x * m[0, 3] + m[2, 3]), m[1, 3], x * m[0, 1] - m[1, 2]]
-    meet_y = [y * m[1, 3] + m[2, 3], -y * m[0, 3], -m[0, 3], m[0, 2] + y * m[0, 1]]
-    scatter = _gram([meet_c, meet_d, meet_x, meet_y])
-    for _ in range(5):  # the share of the second direction falls to its 64th power
-        scale = 1 / (scatter[0][0] + scatter[1][1] + scatter[2][2] + scatter[3][3]).clamp_min(_TINY)
-        scatter = _gram([[scale * s for s in row] for row in scatter])
-    column, largest = scatter[0], scatter[0][0]
-    for j in range(1, 4):
-        larger = scatter[j][j] > largest
-        column = [torch.where(larger, a, b) for a, b in zip(scatter[j], column)]
-        largest = torch.where(larger, scatter[j][j], largest)
-    return _finish(column, x, y, homogeneous, dtype)
+    return _apply(_dlt, xn1, xn2, R, t, homogeneous)
 
 
 def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
@@ -176,11 +139,66 @@ def corrected_matches(
 _TINY = 1e-300
 
 
-def _double(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, torch.dtype]:
-    """The checked arguments in float64, and the dtype to return."""
+def _apply(
+    method: Callable[..., list[Tensor]], xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool
+) -> Tensor:
+    """Check, work in float64 and in chunks that fit the processor's cache, and round once."""
     check_points(xn1=xn1, xn2=xn2)
     check_pose(R, t, like=xn1)
-    return xn1.double(), xn2.double(), R.double(), t.double(), xn1.dtype
+    dtype = xn1.dtype
+    R, t = R.double(), t.double()
+    chunks = zip(xn1.double().split(_CHUNK, -2), xn2.double().split(_CHUNK, -2))
+    parts = [_finish(method(a, b, R, t), a[..., 0], a[..., 1], homogeneous) for a, b in chunks]
+    return (parts[0] if len(parts) == 1 else torch.cat(parts, -2)).to(dtype)
+
+
+_CHUNK = 65_536
+
+
+def _optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
+    x1, x2 = corrected_matches(xn1, xn2, R, t)
+    p, q = rotated_ray(R, *x1), image_ray(*x2)
+    c = components(t)
+    # The normal of the epipolar plane, from the ray further from the baseline; with it every depth is a ratio of
+    # volumes, linear in each ray, and stays regular where the rays are parallel.
+    pt, qt = cross(p, c), cross(q, c)
+    further = dot(pt, pt) * dot(q, q) > dot(qt, qt) * dot(p, p)
+    n = choose(further, pt, qt)
+    w = dot(cross(p, q), n)
+    return _middle(x1, q, R, c, dot(qt, n), dot(pt, n), w)
+
+
+def _midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
+    x1, x2 = xn1.unbind(-1), xn2.unbind(-1)
+    p, q = rotated_ray(R, *x1), image_ray(*x2)
+    c = components(t)
+    n = cross(p, q)
+    return _middle(x1, q, R, c, dot(cross(q, c), n), dot(cross(p, c), n), dot(n, n))
+
+
+def _dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
+    (x, y), (u, v) = xn1.unbind(-1), xn2.unbind(-1)
+    # Planes of image 2 in camera 1; those of image 1 are (1, 0, -x, 0) and (0, 1, -y, 0).
+    P = [[M[..., i, j, None] for j in range(4)] for M in (torch.cat((R, t[..., None]), -1),) for i in range(3)]
+    c = [P[0][j] - u * P[2][j] for j in range(4)]
+    d = [P[1][j] - v * P[2][j] for j in range(4)]
+    # Where both planes of image 1 meet one of image 2: on the ray of image 1.
+    meet_c = _on_ray(x, y, c)
+    meet_d = _on_ray(x, y, d)
+    # Where both planes of image 2 meet one of image 1: 3 x 3 minors of the two with (1, 0, -x, 0) or (0, 1, -y, 0).
+    m = {(i, j): c[i] * d[j] - c[j] * d[i] for i in range(4) for j in range(i + 1, 4)}
+    meet_x = [x * m[1, 3], -(x * m[0, 3] + m[2, 3]), m[1, 3], x * m[0, 1] - m[1, 2]]
+    meet_y = [y * m[1, 3] + m[2, 3], -y * m[0, 3], -m[0, 3], m[0, 2] + y * m[0, 1]]
+    scatter = _gram([meet_c, meet_d, meet_x, meet_y])
+    for _ in range(5):  # the share of the second direction falls to its 64th power
+        scale = 1 / (scatter[0][0] + scatter[1][1] + scatter[2][2] + scatter[3][3]).clamp_min(_TINY)
+        scatter = _gram([[scale * s for s in row] for row in scatter])
+    column, largest = scatter[0], scatter[0][0]
+    for j in range(1, 4):
+        larger = scatter[j][j] > largest
+        column = [torch.where(larger, a, b) for a, b in zip(scatter[j], column)]
+        largest = torch.where(larger, scatter[j][j], largest)
+    return column
 
 
 def _middle(x1: tuple[Tensor, ...], q: Vector, R: Tensor, c: Vector, s1: Tensor, s2: Tensor, w: Tensor) -> list[Tensor]:
@@ -189,20 +207,20 @@ def _middle(x1: tuple[Tensor, ...], q: Vector, R: Tensor, c: Vector, s1: Tensor,
     return [s1 * x1[0] + back[0], s1 * x1[1] + back[1], s1 + back[2], 2 * w]
 
 
-def _finish(X: list[Tensor], x: Tensor, y: Tensor, homogeneous: bool, dtype: torch.dtype) -> Tensor:
+def _finish(X: list[Tensor], x: Tensor, y: Tensor, homogeneous: bool) -> Tensor:
     """Homogeneous components as points of the asked-for kind; (x, y) is the ray of image 1."""
     if not homogeneous:
         w = X[3]
         infinite = w == 0
         scale = 1 / torch.where(infinite, 1.0, w)
-        return torch.stack([torch.where(infinite, torch.inf, scale * a) for a in X[:3]], -1).to(dtype)
+        return torch.stack([torch.where(infinite, torch.inf, scale * a) for a in X[:3]], -1)
     H = torch.stack(X, -1)
     forward = X[0] * x + X[1] * y + X[2] >= 0
     H = torch.where(forward[..., None], H, -H)
     # Both rays on the baseline, or exactly parallel: nothing fixes the depth; the point at infinity on ray 1.
     ray = torch.stack((x, y, torch.ones_like(x), torch.zeros_like(x)), -1)
     H = torch.where((H == 0).all(-1, keepdim=True), ray, H)
-    return (H / H.norm(dim=-1, keepdim=True)).to(dtype)
+    return H / H.norm(dim=-1, keepdim=True)
 
 
 def _gram(rows: list[list[Tensor]]) -> list[list[Tensor]]:
@@ -223,4 +241,4 @@ def _on_ray(x: Tensor, y: Tensor, plane: list[Tensor]) -> list[Tensor]:
     return [x * depth, y * depth, depth.expand_as(along), along]
 
 
-_METHODS = {"optimal": triangulate_optimal, "midpoint": triangulate_midpoint, "dlt": triangulate_dlt}
+_METHODS = {"optimal": _optimal, "midpoint": _midpoint, "dlt": _dlt}

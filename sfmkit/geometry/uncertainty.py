@@ -67,7 +67,7 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     kind = bundle.R.dtype
     return Uncertainty(
         (variance[..., None, None] * inverse[..., :5, :5]).to(kind),
-        (variance[..., None, None, None] * _point_covariance(state, system, root)).to(kind),
+        (variance[..., None, None, None] * _point_covariances(state, system, root)).to(kind),
         variance.sqrt().to(kind),
         dof,
     )
@@ -104,14 +104,24 @@ def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor
     return variance / share.clamp_min(0.1) ** 2, dof
 
 
-def _point_covariance(state: State, system: Linearised, root: Tensor) -> Tensor:
-    """Marginal covariance ``(*B, N, 3, 3)`` of the points for unit noise.
+def _point_covariances(state: State, system: Linearised, root: Tensor) -> Tensor:
+    """Marginal covariance ``(*B, N, 3, 3)`` of the points for unit noise."""
+    entries = (*state.y, *system.L)
+    parts = zip(*(a.split(_CHUNK, -1) for a in entries), system.Z.split(_CHUNK, -1))
+    return torch.cat([_point_covariance(part[:3], part[3:9], part[9], root) for part in parts], -3)
+
+
+_CHUNK = 65_536  # keeps the intermediate tensors small
+
+
+def _point_covariance(unknowns: tuple[Tensor, ...], L: tuple[Tensor, ...], Z: Tensor, root: Tensor) -> Tensor:
+    """The same for some of the points.
 
     ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: what the two rays leave open, and what an
     uncertain pose adds.
     """
-    u, v, w = state.y
-    l00, l10, l11, l20, l21, l22 = system.L
+    u, v, w = unknowns
+    l00, l10, l11, l20, l21, l22 = L
     # L^-T is upper triangular: a b c / . d e / . . f.
     a, d, f = 1 / l00, 1 / l11, 1 / l22
     b, e = -l10 * a * d, -l21 * d * f
@@ -126,7 +136,7 @@ def _point_covariance(state: State, system: Linearised, root: Tensor) -> Tensor:
         ),
         -2,
     )
-    Z = system.Z[..., :-1, :, :].movedim(-1, -3)  # (*B, N, m, 3)
-    W = torch.linalg.solve_triangular(root[..., None, :, :], Z, upper=False).mT
+    by_point = Z[..., :-1, :, :].movedim(-1, -3)  # (*B, N, m, 3)
+    W = torch.linalg.solve_triangular(root[..., None, :, :], by_point, upper=False).mT
     MW = M @ W
     return M @ M.mT + MW @ MW.mT
