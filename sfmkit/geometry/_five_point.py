@@ -67,7 +67,8 @@ def five_point(x1: Tensor, x2: Tensor, cells: int) -> tuple[Tensor, Tensor]:
 
     Args:
         x1, x2: (B, 5, 2) normalised coordinates, float64.
-        cells: resolution of the search for roots. On exact data 1536 miss the true E in 0.1 % of samples, 96 in 0.8 %.
+        cells: resolution of the search for roots. On exact data, before polishing, 96 cells miss the
+            true E by more than 1e-3 in 0.4 % of samples (forward motion 2.7 %), 1536 in 0.06 % (0.4 %).
 
     Returns:
         E: (M, 3, 3) of Frobenius norm √2. owner: (M,) int64, ascending: the sample that a solution is of.

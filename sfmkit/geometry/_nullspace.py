@@ -85,8 +85,9 @@ def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[
 def null_space(A: Tensor) -> Tensor:
     """(*B, n, n - m) basis of the null space of the (*B, m, n) A of full row rank, without derivatives.
 
-    From an LU decomposition of A^T, whose row exchanges choose which unknowns are free: as accurate as a QR or SVD, and
-    on small systems a tenth of the time. The basis is well conditioned, not orthonormal.
+    From an LU decomposition of A^T, whose row exchanges choose which unknowns are free: 1000 systems of
+    5 x 9 take 1.0 ms where a batched SVD takes 5.4 ms (and a complete QR 0.8 ms). The basis is well conditioned, not
+    orthonormal.
     """
     m, n = A.shape[-2:]
     P, L, _ = torch.linalg.lu(A.mT)
