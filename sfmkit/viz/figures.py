@@ -1,0 +1,139 @@
+"""Figures for notebooks: each function returns a matplotlib Figure with labelled axes, in the operators' colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import ConnectionPatch
+
+from ..types import Features, PointCloud
+from .colours import operator_colour
+
+GREY = "#808080"
+
+
+def photographs(*images: Any, titles: Sequence[str] = (), height: float = 4.0) -> tuple[Figure, list[Axes]]:
+    """Photographs side by side, axes in pixels.
+
+    Args:
+        images: :class:`sfmkit.images.Image`, or (H, W) or (H, W, 3) arrays.
+    """
+    arrays = [getattr(image, "rgb", image) for image in images]
+    width = sum(a.shape[1] / a.shape[0] for a in arrays) * height
+    figure = Figure(figsize=(width + 0.6, height + 0.6), layout="constrained")
+    axes = list(figure.subplots(1, len(arrays), squeeze=False)[0])
+    for k, (ax, a) in enumerate(zip(axes, arrays)):
+        ax.imshow(a, cmap="gray", vmin=0, vmax=255)
+        ax.set(xlabel="x (pixels)", ylabel="y (pixels)" if k == 0 else "", autoscale_on=False)
+        if k < len(titles):
+            ax.set_title(titles[k])
+    return figure, axes
+
+
+def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
+    """The strongest keypoints on the photograph: a circle is the described neighbourhood, a tick its orientation.
+
+    Args:
+        features: one or several operators' features of this image.
+        most: at most this many of each.
+    """
+    figure, (ax,) = photographs(image, height=5)
+    handles = []
+    for f in features:
+        some = f.take(np.argsort(-f.scores, kind="stable")[:most])
+        colour = operator_colour(f.operator)
+        d = some.scales
+        ax.add_collection(EllipseCollection(d, d, np.zeros(len(d)), units="xy", offsets=some.keypoints,
+                                            offset_transform=ax.transData, facecolors="none", edgecolors=colour,
+                                            linewidths=0.7))  # fmt: skip
+        tip = some.keypoints + d[:, None] / 2 * np.column_stack([np.cos(some.angles), np.sin(some.angles)])
+        if some.angles.any():
+            ax.add_collection(LineCollection(np.stack([some.keypoints, tip], 1), colors=colour, linewidths=0.7))
+        label = f"{f.operator}: {len(some):,} strongest of {len(f):,}"
+        handles.append(Line2D([], [], marker="o", ls="", mfc="none", color=colour, label=label))
+    figure.legend(handles=handles, loc="outside upper center", ncols=max(1, len(handles)), frameon=False)
+    return figure
+
+
+def match_figure(
+    image1: Any, image2: Any, x1: Any, x2: Any, right: Any | None = None, *, operator: str = "multi", most: int = 120
+) -> Figure:
+    """Matches as lines between two photographs.
+
+    Args:
+        x1, x2: (N, 2) pixels.
+        right: (N,) bool; those that are not are drawn grey and dashed.
+        operator: whose colour to use.
+        most: an even sample of this many is drawn.
+    """
+    figure, (left, other) = photographs(image1, image2, height=3.6)
+    a, b = np.asarray(x1), np.asarray(x2)
+    good = np.ones(len(a), dtype=bool) if right is None else np.asarray(right)
+    rows = np.random.default_rng(0).permutation(len(a))[:most]
+    for k in rows:
+        style = {"color": operator_colour(operator), "lw": 0.8} if good[k] else {"color": GREY, "lw": 0.6, "ls": "--"}
+        figure.add_artist(ConnectionPatch(a[k], b[k], "data", "data", axesA=left, axesB=other, **style))
+    figure.suptitle(
+        f"{len(rows):,} of {len(a):,} matches" + ("" if right is None else f", {good.mean():.0%} of them right")
+    )
+    return figure
+
+
+def epipolar_figure(
+    image1: Any, image2: Any, x1: Any, lines2: Any, x2: Any | None = None, lines1: Any | None = None
+) -> Figure:
+    """Points of image 1 and their epipolar lines in image 2, in matching colours.
+
+    Args:
+        x1: (N, 2) pixels of image 1.
+        lines2: (N, 3) lines in image 2, ``a x + b y + c = 0``.
+        x2: (N, 2) the matches in image 2.
+        lines1: (N, 3) lines in image 1, of x2.
+    """
+    figure, axes = photographs(image1, image2, titles=("image 1", "image 2: the epipolar lines"))
+    colours = [f"C{k % 10}" for k in range(len(x1))]
+    for ax, points, lines in ((axes[0], x1, lines1), (axes[1], x2, lines2)):
+        if lines is not None:
+            for (a, b, c), colour in zip(np.asarray(lines), colours):
+                foot = -c * np.array([a, b]) / (a * a + b * b)
+                ax.axline(foot, foot + [b, -a], color=colour, lw=1)
+        if points is not None:
+            x, y = np.asarray(points).T
+            ax.scatter(x, y, c=colours, s=28, edgecolors="white", linewidths=0.8, zorder=3)
+    return figure
+
+
+def cloud_figure(
+    cloud: PointCloud, *, colour: Any | None = None, label: str = "", cameras: Any | None = None
+) -> Figure:
+    """The cloud from camera 1's side and from above, lengths in baselines.
+
+    Args:
+        colour: (M,) numbers to colour the points by, None for the photograph's colours.
+        label: what the numbers are, with their unit.
+        cameras: (2, 3) centres of the cameras, drawn from above.
+    """
+    X = cloud.xyz.numpy()
+    low, high = np.percentile(X, (1, 99), axis=0)
+    near = ((low <= X) & (high >= X)).all(1)
+    shades = cloud.rgb.numpy()[near] / 255 if colour is None else np.asarray(colour)[near]
+    figure = Figure(figsize=(12, 4.6), layout="constrained")
+    axes = figure.subplots(1, 2)
+    for ax, j, title in zip(axes, (1, 2), ("from camera 1", "from above")):
+        order = np.argsort(-X[near][:, 2] if j == 1 else -X[near][:, 1])
+        dots = ax.scatter(X[near][order, 0], X[near][order, j], c=shades[order], s=4, linewidths=0, cmap="cividis")
+        ax.set(aspect="equal", xlabel="x (baselines)", ylabel=f"{'xyz'[j]} (baselines)", title=title)
+        if j == 1:
+            ax.invert_yaxis()
+    if cameras is not None:
+        axes[1].scatter(*np.asarray(cameras)[:, [0, 2]].T, marker="^", s=60, color="black", label="cameras")
+        axes[1].legend(frameon=False)
+    if colour is not None:
+        figure.colorbar(dots, ax=axes, label=label)
+    return figure
