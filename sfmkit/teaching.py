@@ -67,7 +67,9 @@ def check(exercise: str, answer: Any) -> bool:
 def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None = None) -> Judgement:
     """The same without printing; `exercises` are :data:`sfmkit.exercises.EXERCISES` unless given."""
     if exercises is None:
-        from .exercises import EXERCISES as exercises
+        from .exercises import EXERCISES
+
+        exercises = EXERCISES
     if exercise not in exercises:
         near = get_close_matches(str(exercise), exercises, n=1)
         hint = f" Did you mean '{near[0]}'?" if near else ""
