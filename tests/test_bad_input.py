@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image as PILImage
-from sfmkit.datasets.synthetic import demo_pair
 
 from sfmkit.cli import main
+from sfmkit.datasets.synthetic import demo_pair
 
 K = "500,500,319.5,239.5"
 

@@ -11,11 +11,13 @@ from ..errors import DegenerateGeometryError
 from ..geometry.bundle import bundle_adjust
 from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential
+from ..geometry.losses import Loss
 from ..geometry.uncertainty import covariance
 from ..types import Correspondences, TwoView
 from .two_view import undistorted_pixels
 
-LOSS, LOSS_SCALE_PX = "cauchy", 0.5  # as in the refinement of E before: the residuals of good matches are about 0.3 px
+LOSS: Loss = "cauchy"
+LOSS_SCALE_PX = 0.5  # as in the refinement of E before: the residuals of good matches are about 0.3 px
 
 
 @dataclass(frozen=True, eq=False)
