@@ -16,7 +16,7 @@ from ..types import Norm
 
 Options = Mapping[str, Any]
 
-OPENCV = "Apache-2.0 (OpenCV); no patent known to its authors"
+OPENCV = "Apache-2.0 (OpenCV)"
 SIFT_PATENT = "Apache-2.0 (OpenCV); US 6,711,293 expired in March 2020"
 SURF_PATENT = (
     "Apache-2.0 (our code); patents US 8,165,401, US 8,670,619, EP 2 027 558 (priority April 2006): "
