@@ -29,7 +29,8 @@ class TwoViewBundle:
     Attributes:
         R: ``(*B, 3, 3)``.
         t: ``(*B, 3)`` unit length, ``X2 = R X1 + t``.
-        X: ``(*B, N, 3)`` points in camera 1, in baselines.
+        inverse_depth: ``(*B, N, 3)`` points as ``(u, v, rho)``: normalised coordinates in image 1 and inverse depth; rho
+            is zero at infinity, and negative where the rays meet behind camera 1.
         K1, K2: ``(*B, 3, 3)``, with the focal lengths found where they were free.
         cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after each step.
         iterations: ``(*B,)`` int64, linearisations until convergence.
@@ -39,7 +40,7 @@ class TwoViewBundle:
 
     R: Tensor
     t: Tensor
-    X: Tensor
+    inverse_depth: Tensor
     K1: Tensor
     K2: Tensor
     cost: Tensor
@@ -52,6 +53,14 @@ class TwoViewBundle:
     loss_scale: float
     focal: Focal
 
+    @property
+    def X(self) -> Tensor:
+        """``(*B, N, 3)`` points in camera 1, in baselines; infinite at infinity."""
+        rho = self.inverse_depth[..., 2:]
+        infinite = rho == 0
+        ray = torch.cat((self.inverse_depth[..., :2], torch.ones_like(rho)), -1)
+        return torch.where(infinite, torch.inf, ray / torch.where(infinite, 1.0, rho))
+
     def problem(self) -> Problem:
         """The least-squares problem at the cameras found, float64."""
         x1, x2, weights, K1, K2 = (a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
@@ -59,9 +68,9 @@ class TwoViewBundle:
 
     def state(self) -> State:
         """The unknowns at the minimum, float64; focal scales relative to K1 and K2."""
-        x, y, z = self.X.double().unbind(-1)
+        u, v, w = self.inverse_depth.detach().double().unbind(-1)
         log_focal = torch.zeros((*self.t.shape[:-1], 2), dtype=torch.float64, device=self.t.device)
-        return State(self.R.double(), self.t.double(), log_focal, (x / z, y / z, 1 / z))
+        return State(self.R.detach().double(), self.t.detach().double(), log_focal, (u, v, w))
 
 
 def bundle_adjust(
@@ -131,13 +140,12 @@ def bundle_adjust(
         from ._implicit import attach_derivatives
 
         state = attach_derivatives(state, fixed, problem)
-    u, v, w = state.y
     f1, f2 = state.log_focal.exp().unbind(-1)
     kind = x1.dtype
     return TwoViewBundle(
         state.R.to(kind),
         state.t.to(kind),
-        (torch.stack((u, v, torch.ones_like(u)), -1) / w[..., None]).to(kind),
+        torch.stack(state.y, -1).to(kind),
         _with_focal(problem.K1, f1).to(kind),
         _with_focal(problem.K2, f2).to(kind),
         cost.to(kind),

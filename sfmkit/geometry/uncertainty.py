@@ -20,7 +20,8 @@ class Uncertainty:
         pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2 (truth =
             ``exp(omega) R``), and translation direction, radians, along the two columns of ``tangent_basis(t)``. Free
             focal lengths are marginalised.
-        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of the pose included.
+        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of the pose included;
+            infinite for points at infinity.
         sigma_px: ``(*B,)`` standard deviation of one pixel coordinate of unit weight, estimated.
         degrees_of_freedom: ``(*B,)`` matches in excess of the unknowns: what `sigma_px` rests on.
     """
@@ -139,4 +140,4 @@ def _point_covariance(unknowns: tuple[Tensor, ...], L: tuple[Tensor, ...], Z: Te
     by_point = Z[..., :-1, :, :].movedim(-1, -3)  # (*B, N, m, 3)
     W = torch.linalg.solve_triangular(root[..., None, :, :], by_point, upper=False).mT
     MW = M @ W
-    return M @ M.mT + MW @ MW.mT
+    return torch.where((w == 0)[..., None, None], torch.inf, M @ M.mT + MW @ MW.mT)

@@ -213,3 +213,44 @@ def test_bad_input_is_named():
         bundle_adjust(s.x1 * torch.nan, s.x2, s.K1, s.K2, *pose)
     with pytest.raises(InputError, match="baseline"):
         bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, 0 * s.t)
+
+
+@pytest.mark.data
+def test_fountain_converges_at_once_and_agrees_with_the_truth(data_dir):
+    import cv2
+
+    from sfmkit.datasets.strecha import strecha
+    from sfmkit.geometry.essential import essential_from_pose
+    from sfmkit.geometry.fundamental import fundamental_from_essential, sampson_distance
+
+    pair = next(iter(strecha(data_dir / "strecha", ["fountain-P11"])))
+    size = tuple(v // 4 for v in pair.camera1.size_wh)
+    images = [cv2.resize(cv2.imread(str(f), 0), size, interpolation=cv2.INTER_AREA) for f in (pair.image1, pair.image2)]
+    K1, K2 = (torch.tensor(c.scaled(size).K) for c in (pair.camera1, pair.camera2))
+    R, t = torch.as_tensor(pair.R, dtype=D), torch.as_tensor(pair.t, dtype=D)
+    (k1, d1), (k2, d2) = (cv2.SIFT_create(1500).detectAndCompute(i, None) for i in images)
+    matches = [a for a, b in cv2.BFMatcher().knnMatch(d1, d2, 2) if a.distance < 0.8 * b.distance]
+    x1 = torch.tensor([k1[m.queryIdx].pt for m in matches], dtype=D)
+    x2 = torch.tensor([k2[m.trainIdx].pt for m in matches], dtype=D)
+    F = fundamental_from_essential(essential_from_pose(R, t), K1, K2)
+    near = sampson_distance(F, x1, x2).abs() < 1
+    x1, x2 = x1[near], x2[near]
+    R0 = so3_exp(torch.tensor([0.01, -0.01, 0.005], dtype=D)) @ R
+    for loss, scale in (("squared", 1.0), ("huber", 0.5), ("cauchy", 0.5)):
+        for focal in ("fixed", "shared"):
+            b = bundle_adjust(x1, x2, K1, K2, R0, t, loss=loss, loss_scale=scale, focal=focal)
+            assert bool(b.converged)
+            assert int(b.iterations) < 15
+            if focal == "fixed":
+                assert float(rotation_error(b.R, R)) < 0.1
+                assert float(translation_error(b.t, t)) < 0.3
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_graphics_card_gives_the_same():
+    s = make_scene(50, noise=0.5)
+    here = adjusted(s, loss="cauchy")
+    there = bundle_adjust(*(a.cuda() for a in (s.x1, s.x2, s.K1, s.K2, *start(s))), loss="cauchy")
+    torch.testing.assert_close(there.R.cpu(), here.R, rtol=0, atol=1e-9)
+    torch.testing.assert_close(there.X.cpu(), here.X, rtol=1e-6, atol=1e-9)

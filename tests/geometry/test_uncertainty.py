@@ -138,3 +138,18 @@ def test_what_cannot_be_known_is_said():
     x1, x2 = one.x1.expand(10, 2), one.x2.expand(10, 2)  # one match ten times over
     with pytest.raises(DegenerateGeometryError, match="do not determine the pose"):
         covariance(bundle_adjust(x1, x2, s.K1, s.K2, s.R, s.t, max_iterations=3))
+
+
+def test_points_at_infinity_do_not_spoil_the_rest():
+    s = make_scene(30)
+    ray = torch.tensor([0.1, 0.05, 1.0], dtype=D)  # two pixels that see one direction
+    far1, far2 = s.K1 @ ray, s.K2 @ s.R @ ray
+    x1, x2 = s.x1.clone(), s.x2.clone()
+    x1[0], x2[0] = far1[:2] / far1[2], far2[:2] / far2[2]
+    b = bundle_adjust(x1, x2, s.K1, s.K2, s.R, s.t)
+    assert abs(float(b.inverse_depth[0, 2])) < 1e-12
+    c = covariance(b)
+    assert not b.X.isnan().any()
+    assert c.pose.isfinite().all()
+    assert c.points[1:].isfinite().all()
+    assert float(c.points[0, 2, 2]) > 1e6 * float(c.points[1:, 2, 2].max())
