@@ -57,7 +57,9 @@ def match_guided(
     predicted, growth = _predict(H, features1.keypoints.astype(np.float64))
     ahead = np.flatnonzero(np.isfinite(growth))
     k = min(_CANDIDATES, len(features2))
-    near, rows = cKDTree(features2.keypoints).query(predicted[ahead], k=np.arange(1, k + 1), distance_upper_bound=radius_px)
+    near, rows = cKDTree(features2.keypoints).query(
+        predicted[ahead], k=np.arange(1, k + 1), distance_upper_bound=radius_px
+    )
     at, nth = np.nonzero(np.isfinite(near))
     i, j = ahead[at], rows[at, nth]
 

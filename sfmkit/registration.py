@@ -37,6 +37,9 @@ from .types import Correspondences, Matches, Verdict
 _ROUNDS = 2  # of guided matching: the second starts from a better homography
 _RADIUS = 2.0  # guided matching looks this many thresholds around the predicted position
 _DISTANCE_QUANTILE = 0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
+_WORST_RATIO = 1.2  # of descriptor distance to its limit, at which a match would not count
+_LEAST_SIGMA_PX = 0.1  # no operator localises better
+_GRID = 8
 _LEAST_INLIERS = 10  # of an operator, to know its descriptor distances
 
 
@@ -158,12 +161,12 @@ def _guide(
     H = fit.H
     for _ in range(_ROUNDS):
         found = {
-            name: match_guided(
-                *features[name], H.numpy(), radius_px=_RADIUS * planar.threshold_px, max_distance=limit
-            )
+            name: match_guided(*features[name], H.numpy(), radius_px=_RADIUS * planar.threshold_px, max_distance=limit)
             for name, limit in limits.items()
         }
         guided = fuse_all(features, found, options)
+        if len(guided) < _LEAST_INLIERS:
+            return fit, None
         H = refine_homography(
             H, guided.x1, guided.x2, localisation_weights(guided, H), threshold_px=planar.threshold_px
         )
@@ -172,16 +175,21 @@ def _guide(
 
 
 def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
-    """(N,) how well each match is likely to be localised, relative to the others.
+    """(N,) how much each guided match should count for the homography, relative to the others.
 
     Operators differ in precision: each counts by the inverse square of its median distance to H. Within an operator, the
-    better two descriptors agree, the better do their positions. And a crowd of matches on one detail should not decide for
-    the whole image.
+    better two descriptors agree, the better do their positions. And a crowd of matches on one detail, which is rarely
+    exactly in the plane, should not decide for the whole image: a match counts by the inverse root of the number in its
+    cell of an 8 x 8 grid.
     """
     e = homography_sampson(H, guided.x1, guided.x2).sqrt()
-    weight = (1.2 - guided.ratio.nan_to_num(nan=1.0)).square()
+    weight = _WORST_RATIO - guided.ratio
     for k in range(len(guided.operators)):
         mine = guided.operator_id == k
         if mine.any():
-            weight[mine] /= e[mine].median().clamp(min=0.1).square()
+            weight[mine] /= e[mine].median().clamp(min=_LEAST_SIGMA_PX).square()
+    low, high = guided.x1.amin(0), guided.x1.amax(0)
+    cell = ((guided.x1 - low) / (high - low).clamp(min=1) * _GRID).long().clamp(max=_GRID - 1)
+    cell = cell[:, 0] * _GRID + cell[:, 1]
+    weight /= torch.bincount(cell)[cell].sqrt()
     return weight / weight.mean()

@@ -102,7 +102,9 @@ def estimate_planar(corr: Correspondences, options: PlanarOptions | None = None,
         H, evidence = _search(x1, x2, options.threshold_px, generator)
     if H is None or evidence["log10_false_alarms"] > MAX_LOG10_NFA:
         k, m = int(evidence.get("inliers", 0)), int(evidence.get("matches", n))
-        reason = f"At best {k:,} of the {m:,} most distinctive matches agree on one homography: chance would do as well."
+        reason = (
+            f"At best {k:,} of the {m:,} most distinctive matches agree on one homography: chance would do as well."
+        )
         return PlanarFit(None, nothing, reason, evidence)
     if options.method == "prefixes":
         H = refine_homography(H, x1, x2, threshold_px=options.threshold_px)

@@ -1,0 +1,70 @@
+"""``sfmkit bench``: the paper's experiments, rerun."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    return None if value is None else tuple(part.strip() for part in value.split(",") if part.strip())
+
+
+@click.group()
+def bench() -> None:
+    """Rerun the paper's experiments and print its tables with our values beside its own."""
+
+
+@bench.command()
+@click.option("--sequences", callback=_names, metavar="A,B", help="Some of the eight sequences; default: all.")
+@click.option(
+    "--operators",
+    default="surf,orb,fast-brief",
+    show_default=True,
+    callback=_names,
+    help="Each runs alone, and all together.",
+)
+@click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out/oxford"), show_default=True, help="Folder to write."
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
+)
+def oxford(
+    sequences: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    seeds: int,
+    workers: int | None,
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Tables 2 to 5 and Figures 7 to 10: homographies of the Oxford set. Goes on where an earlier run stopped."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from ..evaluation.oxford import bench_oxford
+    from ..evaluation.oxford_tables import draw_figures, tables
+
+    columns = (
+        TextColumn("oxford"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        rows = bench_oxford(
+            out, data=data, sequences=sequences, operators=operators, seeds=seeds, workers=workers,
+            progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
+        )  # fmt: skip
+    console = Console()
+    for table in tables(rows):
+        console.print(table)
+    files = draw_figures(rows, out)
+    console.print(f"{out / 'rows.jsonl'}, {', '.join(f.name for f in files)}")

@@ -1,0 +1,244 @@
+"""The Oxford benchmark: homographies of single operators and of their fusion, by the paper's recipe and by ours.
+
+Every image is searched once, every operator's features are matched once, and all seeds and recipes use the same matches.
+Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from .. import __version__
+from ..datasets.oxford import oxford
+from ..datasets.pairs import Pair
+from ..errors import InputError
+from ..estimation.planar import PAPER_PLANAR, PlanarOptions
+from ..features import detect
+from ..features.tables import operator_spec
+from ..geometry.homography import homography_sampson
+from ..geometry.homography_refinement import refine_homography
+from ..images import read_image
+from ..matching import match
+from ..options import DEFAULT, PAPER
+from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs
+from ..registration import fuse_all, register_matches
+from ..types import Features, Matches
+from .metrics import corner_error, homography_rmse, match_errors, matching_score, mean_matching_accuracy, repeatability
+
+MULTI = "multi"
+FLOOR = "floor"
+OURS, PAPERS = "ours", "paper"
+FLOOR_PX = 3.0
+
+Row = dict[str, Any]
+Progress = Callable[[int, int, str], None]  # pairs done, pairs in all, what was done last
+
+
+def bench_oxford(
+    out: str | os.PathLike,
+    *,
+    data: str | os.PathLike | None = None,
+    sequences: Iterable[str] | None = None,
+    operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    seeds: int = 5,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Run what is missing of the benchmark and return all of its rows.
+
+    Args:
+        out: folder for ``rows.jsonl``.
+        data: where the data set lies, see :func:`sfmkit.datasets.oxford.oxford`.
+        sequences: names; None for all that are there.
+        operators: at least one; each runs alone, and all together as ``multi``.
+        seeds: each estimate is made with seeds 0 ... seeds - 1.
+        workers: processes; None for one a core.
+
+    Returns:
+        Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed -> rmse, corner_error_px,
+        matches, inliers, seconds; rmse and corner_error_px are None where the verdict was too little evidence),
+        ``floor`` (the same for a fit to the fused matches that agree with the truth within 3 px) and ``features``
+        (per operator: keypoints, matches, repeatability, matching_score, mma, seconds).
+
+    Raises:
+        InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other settings.
+    """
+    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    if not operators:
+        raise InputError("name at least one operator")
+    if seeds < 1:
+        raise InputError(f"seeds must be at least 1, not {seeds}")
+    pairs = list(oxford(data, sequences))
+    store = RowStore(Path(out) / "rows.jsonl", {"version": __version__, "operators": list(operators), "seeds": seeds})
+    rows = store.read()
+    have = {(row["sequence"], row["pair"]) for row in rows}
+    missing = [pair for pair in pairs if (pair.sequence, pair.name) not in have]
+    done = len(pairs) - len(missing)
+    if progress is not None:
+        progress(done, len(pairs), "")
+    workers = min(workers or os.cpu_count() or 1, max(len(missing), 1))
+    if workers == 1:
+        results: Iterable[tuple[Pair, list[Row]]] = ((pair, evaluate_pair(pair, operators, seeds)) for pair in missing)
+        for pair, new in results:
+            done += 1
+            _keep(store, rows, new, progress, done, len(pairs), pair)
+    else:
+        # Spawned, not forked: torch's threads do not survive a fork.
+        with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_one_thread) as pool:
+            jobs = {pool.submit(evaluate_pair, pair, operators, seeds): pair for pair in missing}
+            try:
+                for job in as_completed(jobs):
+                    done += 1
+                    _keep(store, rows, job.result(), progress, done, len(pairs), jobs[job])
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    wanted = {(pair.sequence, pair.name) for pair in pairs}
+    return [row for row in rows if (row["sequence"], row["pair"]) in wanted]
+
+
+def _keep(
+    store: RowStore, rows: list[Row], new: list[Row], progress: Progress | None, done: int, total: int, pair: Pair
+) -> None:
+    store.append(new)
+    rows += new
+    if progress is not None:
+        progress(done, total, f"{pair.sequence} {pair.name}")
+
+
+class RowStore:
+    """Rows on disk, one JSON object a line; the first line holds the settings that they were made with."""
+
+    def __init__(self, path: Path, settings: dict[str, Any]):
+        self.path, self.settings = path, settings
+
+    def read(self) -> list[Row]:
+        """The rows so far; an incomplete last line, from an interrupted run, is cut off.
+
+        Raises:
+            InputError: the file was made with other settings, or is no such file.
+        """
+        if not self.path.exists():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.write_text(json.dumps({"settings": self.settings}) + "\n")
+            return []
+        text = self.path.read_text()
+        if not text.endswith("\n"):
+            text = text[: text.rfind("\n") + 1]
+            self.path.write_text(text)
+        try:
+            first, *rows = [json.loads(line) for line in text.splitlines()] or [{}]
+        except json.JSONDecodeError as error:
+            raise InputError(f"{self.path} is damaged ({error}); remove it to begin again") from None
+        if first.get("settings") != self.settings:
+            raise InputError(
+                f"{self.path} was made with {first.get('settings')}, not {self.settings}; choose another --out, or "
+                "remove it to begin again"
+            )
+        return rows
+
+    def append(self, rows: list[Row]) -> None:
+        """All rows of a pair in one write: a pair is there whole or, after a crash, not counted."""
+        with self.path.open("a") as file:
+            file.write("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def _one_thread() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+@lru_cache(maxsize=8)
+def _first_image(path: Path, operator: str) -> Features:
+    """Features of a sequence's first image, which all of its pairs share."""
+    return detect(read_image(path), operator)
+
+
+def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]:
+    """All rows of a pair."""
+    assert pair.H is not None
+    where = {"sequence": pair.sequence, "pair": pair.name}
+    features: dict[str, tuple[Features, Features]] = {}
+    matches: dict[str, Matches] = {}
+    rows: list[Row] = []
+    second = read_image(pair.image2)  # type: ignore[arg-type]
+    for name in operators:
+        began = time.perf_counter()
+        f1, f2 = features[name] = (_first_image(pair.image1, name), detect(second, name))  # type: ignore[arg-type]
+        detected = time.perf_counter()
+        m = matches[name] = match(f1, f2)
+        matched = time.perf_counter()
+        repeated, _ = repeatability(f1, f2, pair.H)
+        rows.append(
+            {
+                "kind": "features", **where, "operator": name, "keypoints": [len(f1), len(f2)], "matches": len(m),
+                "repeatability": repeated, "matching_score": matching_score(f1, f2, m, pair.H),
+                "mma": mean_matching_accuracy(match_errors(f1, f2, m, pair.H)),
+                "seconds": matched - began, "match_seconds": matched - detected,
+            }
+        )  # fmt: skip
+    corr = fuse_all(features, matches, DEFAULT.fuse)
+    rows.append({"kind": FLOOR, **where, **_floor(corr.x1, corr.x2, pair.H, next(iter(features.values()))[0].size_wh)})
+
+    single = [(name, {name: features[name]}, {name: matches[name]}) for name in operators]
+    both = [*single, (MULTI, features, matches)] if len(operators) > 1 else single
+    for name, f, m in both:
+        for recipe, options, planar in ((OURS, DEFAULT, PlanarOptions()), (PAPERS, PAPER, PAPER_PLANAR)):
+            for seed in range(seeds):
+                rows.append(
+                    {
+                        "kind": "estimate", **where, "operator": name, "recipe": recipe, "seed": seed,
+                        **_estimate(f, m, pair.H, options, planar, seed),
+                    }
+                )  # fmt: skip
+    return rows
+
+
+def _estimate(
+    features: FeaturePairs, matches: dict[str, Matches], H_true: np.ndarray, options: Any, planar: PlanarOptions, seed: int
+) -> Row:  # fmt: skip
+    began = time.perf_counter()
+    result = register_matches(features, matches, options=options, planar=planar, seed=seed)
+    seconds = time.perf_counter() - began
+    size_wh = next(iter(features.values()))[0].size_wh
+    H = None if result.H is None else result.H.numpy()
+    corner = None if H is None else corner_error(H, H_true, size_wh)
+    return {
+        "matches": len(result.correspondences),
+        "inliers": int(result.inliers.sum()),
+        "guided": 0 if result.guided is None else len(result.guided),
+        "rmse": None if H is None else homography_rmse(H, H_true),
+        "corner_error_px": None if corner is None or math.isinf(corner) else corner,
+        "log10_false_alarms": _finite(result.evidence.get("log10_false_alarms")),
+        "seconds": seconds,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _floor(x1: torch.Tensor, x2: torch.Tensor, H_true: np.ndarray, size_wh: tuple[int, int]) -> Row:
+    """How far from the truth a fit ends that knows it: the truth's own error, and what the matches cannot tell."""
+    T = torch.from_numpy(H_true.copy())
+    right = homography_sampson(T, x1, x2) < FLOOR_PX**2
+    H = refine_homography(T, x1[right], x2[right], threshold_px=FLOOR_PX).numpy()
+    return {
+        "matches": int(right.sum()),
+        "rmse": homography_rmse(H, H_true),
+        "corner_error_px": corner_error(H, H_true, size_wh),
+    }
