@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-EXTRAS := notebook,peers,dev
+EXTRAS := notebook,peers,browser,dev
 
 .PHONY: demo test lab lint types build clean env
 
