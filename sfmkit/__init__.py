@@ -28,6 +28,8 @@ _PUBLIC = {
     "estimate_two_view": "estimation",
     "reconstruct": "pipeline",
     "Reconstruction": "pipeline",
+    "register": "registration",
+    "Registration": "registration",
 }
 __all__ = ["__version__", *_PUBLIC]
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from .images import read_image
     from .matching import match
     from .pipeline import Reconstruction, reconstruct
+    from .registration import Registration, register
     from .types import Camera, Correspondences, Features, Matches, PointCloud, TwoView, Verdict
 
 

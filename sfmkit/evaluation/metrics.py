@@ -88,7 +88,7 @@ def repeatability(
 
 
 def _inside(x: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
-    return ((x >= 0) & (x <= np.array(size_wh) - 1)).all(axis=1)
+    return np.all((x >= 0) & (x <= np.array(size_wh) - 1), axis=1)
 
 
 def match_errors(features1: Features, features2: Features, matches: Matches, H_true: np.ndarray) -> np.ndarray:

@@ -196,13 +196,13 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
 
     single = [(name, {name: features[name]}, {name: matches[name]}) for name in operators]
     both = [*single, (MULTI, features, matches)] if len(operators) > 1 else single
-    for name, f, m in both:
+    for name, mine, theirs in both:
         for recipe, options, planar in ((OURS, DEFAULT, PlanarOptions()), (PAPERS, PAPER, PAPER_PLANAR)):
             for seed in range(seeds):
                 rows.append(
                     {
                         "kind": "estimate", **where, "operator": name, "recipe": recipe, "seed": seed,
-                        **_estimate(f, m, pair.H, options, planar, seed),
+                        **_estimate(mine, theirs, pair.H, options, planar, seed),
                     }
                 )  # fmt: skip
     return rows
