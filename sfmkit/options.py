@@ -69,7 +69,7 @@ class EstimateOptions:
     """
 
     model: Literal["essential", "fundamental"] = "essential"
-    backend: Literal["torch", "opencv", "poselib", "pycolmap"] = "opencv"
+    backend: Literal["torch", "opencv", "poselib", "pycolmap"] = "torch"
     method: str | None = None
     threshold_px: float = 1.0
     confidence: float = 0.9999

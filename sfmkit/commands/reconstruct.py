@@ -121,9 +121,12 @@ def run_reconstruct(
 
         pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
         options = PRESETS[preset]
+        changes = {k: v for k, v in changes.items() if v is not None}
+        if "backend" in changes:
+            changes["method"] = None  # a method's name belongs to its back end
         options = replace(
             options,
-            estimate=replace(options.estimate, **{k: v for k, v in changes.items() if v is not None}),
+            estimate=replace(options.estimate, **changes),
             detect=replace(options.detect, **{k: v for k, v in detect.items() if v is not None}),
         )
         result = run(

@@ -2,13 +2,12 @@
 
 from .adjust import Adjustment, adjust
 from .result import RobustModel
-from .two_view import estimate_homography_model, estimate_two_view, undistorted_pixels
+from .two_view import estimate_two_view, undistorted_pixels
 
 __all__ = [
     "Adjustment",
     "RobustModel",
     "adjust",
-    "estimate_homography_model",
     "estimate_two_view",
     "undistorted_pixels",
 ]

@@ -23,6 +23,7 @@ from ..geometry.pose import cheirality, choose_pose, rotation_error, translation
 from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
 from ..types import Camera, Correspondences, TwoView, Verdict
+from . import opencv
 from .result import RobustModel
 from .verdict import MIN_MATCHES, judge
 
@@ -37,8 +38,6 @@ def backend(name: str) -> ModuleType:
 
         return robust
     if name == "opencv":
-        from . import opencv
-
         return opencv
     from . import peers
 
@@ -89,7 +88,7 @@ def estimate_two_view(
             {"matches": n},
         )
 
-    fit = robust_fit(x1, x2, K1, K2, options, seed)
+    fit = robust_fit(x1, x2, K1, K2, corr, options, seed)
     if fit.model is None:
         return too_little("No epipolar geometry was found among the matches.", {"matches": n, "inliers": 0})
     calibrated = options.model == "essential"
@@ -104,13 +103,8 @@ def estimate_two_view(
     else:  # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses thereby
         F, inliers = fit.model, fit.inliers
 
-    plane = estimate_homography_model(
-        x1,
-        x2,
-        backend_name=options.backend,
-        threshold_px=options.threshold_px,
-        seed=seed,
-        max_iterations=PLANE_ITERATIONS,
+    plane = opencv.estimate_homography(
+        x1, x2, threshold_px=options.threshold_px, seed=seed, max_iterations=PLANE_ITERATIONS
     )
     # The competing explanations are compared at their best: a carelessly fitted F would lose to a plane.
     F_best, inliers_best = F, inliers
@@ -178,8 +172,14 @@ def planar_poses(
     return kept or [start]
 
 
-def robust_fit(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: EstimateOptions, seed: int) -> RobustModel:
-    """E, or F where the options say so, by their back end."""
+def robust_fit(
+    x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, corr: Correspondences, options: EstimateOptions, seed: int
+) -> RobustModel:
+    """E, or F where the options say so, by their back end.
+
+    Ours is told what the matches know of themselves: their distance ratios order the sampling, and how reliable each
+    operator is here is learned on the way.
+    """
     engine = backend(options.backend)
     settings: dict[str, Any] = {
         "threshold_px": options.threshold_px,
@@ -187,6 +187,8 @@ def robust_fit(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: Estimate
         "max_iterations": options.max_iterations,
         "seed": seed,
     }
+    if options.backend == "torch":
+        settings |= {"ratio": corr.ratio, "groups": corr.operator_id}
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":
@@ -215,17 +217,3 @@ def pose_of(E: Tensor, xn1: Tensor, xn2: Tensor, inliers: Tensor) -> tuple[Tenso
     """(R, t) of the four that E allows that puts most inliers in front of both cameras."""
     R, t, _ = choose_pose(*decompose_essential(E), xn1[inliers], xn2[inliers])
     return R, t
-
-
-def estimate_homography_model(
-    x1: Tensor,
-    x2: Tensor,
-    *,
-    backend_name: str = "opencv",
-    threshold_px: float = 1.0,
-    seed: int = 0,
-    max_iterations: int = 10_000,
-) -> RobustModel:
-    """The homography ``x2 = H x1`` that most matches agree on (pixels)."""
-    engine = backend(backend_name if backend_name in ("torch", "opencv") else "opencv")
-    return engine.estimate_homography(x1, x2, threshold_px=threshold_px, seed=seed, max_iterations=max_iterations)

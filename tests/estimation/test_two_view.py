@@ -127,7 +127,7 @@ def test_two_cameras_of_different_focal_length():
 
 def test_the_fundamental_path_gives_a_pose_too():
     corr, R, _ = scene("depth", noise=0.2, outliers=0.2)
-    options = EstimateOptions(model="fundamental", method="ransac", threshold_px=1.5, refine=False)
+    options = EstimateOptions(model="fundamental", backend="opencv", method="ransac", threshold_px=1.5, refine=False)
     view = estimate_two_view(corr, CAMERA, CAMERA, options)
     assert view.verdict is Verdict.GENERAL
     assert rotation_degrees(view.R.numpy(), R) < 2
