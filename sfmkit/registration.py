@@ -18,7 +18,7 @@ from torch import Tensor
 from .account import OperatorAccount, make_account
 from .estimation.planar import PAPER_PLANAR, PlanarFit, PlanarOptions, estimate_planar
 from .fusion import fuse
-from .geometry.homography import homography_sampson
+from .geometry.homography import homography_sampson, transfer
 from .geometry.homography_refinement import refine_homography
 from .guided import match_guided
 from .images import Image, read_image
@@ -34,7 +34,8 @@ from .pipeline import (
 )
 from .types import Correspondences, Matches, Verdict
 
-_ROUNDS = 2  # of guided matching: the second starts from a better homography
+_ROUNDS = 2  # of guided matching at most: the second starts from a better homography
+_SETTLED_PX = 0.5  # a round that moves no corner farther is the last
 _RADIUS = 2.0  # guided matching looks this many thresholds around the predicted position
 _DISTANCE_QUANTILE = 0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
 _WORST_RATIO = 1.2  # of descriptor distance to its limit, at which a match would not count
@@ -117,12 +118,13 @@ def register_matches(
     planar: PlanarOptions | None = None,
     seed: int = 0,
     watch: Stopwatch | None = None,
+    fused: Correspondences | None = None,
 ) -> Registration:
-    """:func:`register` from the matches on, for those who have them already."""
+    """:func:`register` from the matches on, or from what they were fused to, for those who have them already."""
     watch = watch or Stopwatch()
     planar = planar or (PAPER_PLANAR if options.name == "paper" else PlanarOptions())
     with watch.stage("fuse", "matches of all operators"):
-        corr = fuse_all(features, matches, options.fuse)
+        corr = fuse_all(features, matches, options.fuse) if fused is None else fused
     with watch.stage("estimate", "homography"):
         fit = estimate_planar(corr, planar, seed=seed)
         guided = None
@@ -159,6 +161,8 @@ def _guide(
         return fit, None
     assert fit.H is not None
     H = fit.H
+    w, h = next(iter(features.values()))[0].size_wh
+    corners = torch.tensor([[0, 0], [w, 0], [w, h], [0, h]], dtype=torch.float64)
     for _ in range(_ROUNDS):
         found = {
             name: match_guided(*features[name], H.numpy(), radius_px=_RADIUS * planar.threshold_px, max_distance=limit)
@@ -167,9 +171,11 @@ def _guide(
         guided = fuse_all(features, found, options)
         if len(guided) < _LEAST_INLIERS:
             return fit, None
-        H = refine_homography(
-            H, guided.x1, guided.x2, localisation_weights(guided, H), threshold_px=planar.threshold_px
-        )
+        before = H
+        weights = localisation_weights(guided, H)
+        H = refine_homography(H, guided.x1, guided.x2, weights, threshold_px=planar.threshold_px)
+        if float((transfer(H, corners) - transfer(before, corners)).norm(dim=1).max()) < _SETTLED_PX:
+            break
     inliers = homography_sampson(H, corr.x1, corr.x2) < planar.threshold_px**2
     return PlanarFit(H, inliers, fit.reason, fit.evidence), guided
 

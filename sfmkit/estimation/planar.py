@@ -134,13 +134,19 @@ def _search(
     sizes = [size for size in _PREFIXES if size < len(x1)] or [len(x1)]
     for level, size in enumerate(sizes):
         for H in _candidates(x1[:size], x2[:size], _LOOSE * threshold, _SAMPLES[level], generator):
+            if evidence["log10_false_alarms"] < _CERTAIN and evidence["inliers"] > evidence["matches"] / 2:
+                break  # most of the matches agree: no other candidate can have as many
+            shorter = torch.inf
             for longer in sizes[level:]:
                 a, b = x1[:longer], x2[:longer]
                 H = refine_homography(H, a, b, threshold_px=_LOOSE * threshold, max_iterations=8)
-                for t in (threshold, _LOOSE * threshold):
-                    found = false_alarms(H, a, b, t, generator)
-                    if found["log10_false_alarms"] < evidence["log10_false_alarms"]:
-                        best, evidence = H, found
+                tries = [false_alarms(H, a, b, t, generator) for t in (threshold, _LOOSE * threshold)]
+                found = min(tries, key=lambda each: each["log10_false_alarms"])
+                if found["log10_false_alarms"] < evidence["log10_false_alarms"]:
+                    best, evidence = H, found
+                if found["log10_false_alarms"] > max(shorter, 0.0):
+                    break  # a right model gains with every match that is added, an accidental one loses
+                shorter = found["log10_false_alarms"]
         if evidence["log10_false_alarms"] < _CERTAIN:
             break
     return best, evidence

@@ -34,7 +34,7 @@ from ..matching import match
 from ..options import DEFAULT, PAPER
 from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs
 from ..registration import fuse_all, register_matches
-from ..types import Features, Matches
+from ..types import Correspondences, Features, Matches
 from .metrics import corner_error, homography_rmse, match_errors, matching_score, mean_matching_accuracy, repeatability
 
 MULTI = "multi"
@@ -198,21 +198,27 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
     both = [*single, (MULTI, features, matches)] if len(operators) > 1 else single
     for name, mine, theirs in both:
         for recipe, options, planar in ((OURS, DEFAULT, PlanarOptions()), (PAPERS, PAPER, PAPER_PLANAR)):
+            fused = fuse_all(mine, theirs, options.fuse)
             for seed in range(seeds):
                 rows.append(
                     {
                         "kind": "estimate", **where, "operator": name, "recipe": recipe, "seed": seed,
-                        **_estimate(mine, theirs, pair.H, options, planar, seed),
+                        **_estimate(mine, theirs, fused, pair.H, planar, seed),
                     }
                 )  # fmt: skip
     return rows
 
 
 def _estimate(
-    features: FeaturePairs, matches: dict[str, Matches], H_true: np.ndarray, options: Any, planar: PlanarOptions, seed: int
-) -> Row:  # fmt: skip
+    features: FeaturePairs,
+    matches: dict[str, Matches],
+    fused: Correspondences,
+    H_true: np.ndarray,
+    planar: PlanarOptions,
+    seed: int,
+) -> Row:
     began = time.perf_counter()
-    result = register_matches(features, matches, options=options, planar=planar, seed=seed)
+    result = register_matches(features, matches, planar=planar, seed=seed, fused=fused)
     seconds = time.perf_counter() - began
     size_wh = next(iter(features.values()))[0].size_wh
     H = None if result.H is None else result.H.numpy()

