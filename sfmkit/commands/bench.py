@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+WIDTH = 130  # of the tables, characters
+
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     return None if value is None else tuple(part.strip() for part in value.split(",") if part.strip())
@@ -64,6 +66,8 @@ def oxford(
             progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
         )  # fmt: skip
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)  # a file has no width to respect
     for table in tables(rows):
         console.print(table)
     files = draw_figures(rows, out)

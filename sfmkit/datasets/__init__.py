@@ -33,6 +33,12 @@ def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -
         from .planes import planes
 
         return planes(**options)
+    if dataset == "planes":
+        from .planes import planes
+
+        return planes(**options)
     if dataset not in ("oxford", "hpatches", "strecha", "uav"):
-        raise InputError(f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav, synthetic and planes")
+        raise InputError(
+            f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav, synthetic and planes"
+        )
     return getattr(import_module(f".{dataset}", __name__), dataset)(data, **options)

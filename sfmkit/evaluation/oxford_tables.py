@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.table import Table
 
 from ..writing import atomic_write
@@ -58,8 +59,12 @@ def tables(rows: Sequence[Row]) -> list[Table]:
         here = [name for name in names if estimates(rows, sequence=name)]
         if not here:
             continue
-        table = Table(title=f"Table {number}: mean RMSE of H (element-wise, h33 = 1; no unit)", title_justify="left")
-        for column in ("sequence", "operator", "ours", "solved", "difference", "paper", "its recipe, rerun", "solved"):
+        table = Table(
+            title=f"Table {number}: mean RMSE of H (element-wise, h33 = 1; no unit)",
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+        )
+        for column in ("sequence", "operator", "ours", "solved", "difference", "paper", "its recipe", "solved"):
             table.add_column(column, justify="left" if column in ("sequence", "operator") else "right")
         table.add_column("matches", justify="right")
         table.add_column("paper", justify="right")
@@ -85,7 +90,7 @@ def tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def _corner_table(rows: Sequence[Row], operators: Sequence[str]) -> Table:
-    table = Table(title="All pairs: corner error", title_justify="left")
+    table = Table(title="All pairs: corner error", title_justify="left", box=box.SIMPLE_HEAD)
     for column in ("operator", "recipe", "solved in every seed", "wrong, not withheld", "AUC 1 px", "3 px", "5 px", "10 px",
                    "s per pair"):  # fmt: skip
         table.add_column(column, justify="left" if column in ("operator", "recipe") else "right")
@@ -104,7 +109,7 @@ def _corner_table(rows: Sequence[Row], operators: Sequence[str]) -> Table:
 
 
 def _feature_table(rows: Sequence[Row]) -> Table:
-    table = Table(title="Operators: means over the pairs", title_justify="left")
+    table = Table(title="Operators: means over the pairs", title_justify="left", box=box.SIMPLE_HEAD)
     shown = (1, 3, 5, 10)
     for column in ("operator", "keypoints", "matches", "repeatability", "matching score", *(f"MMA {t} px" for t in shown),
                    "s per pair"):  # fmt: skip

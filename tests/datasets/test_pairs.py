@@ -149,6 +149,12 @@ def test_synthetic_pairs_carry_pose():
     assert pair.R.shape == (3, 3)
 
 
+def test_rendered_planes_carry_homographies():
+    pair = next(pairs("planes", size_wh=(48, 32)))
+    assert pair.dataset == "planes"
+    assert pair.H.shape == (3, 3)
+
+
 @pytest.mark.data
 def test_shared_oxford_and_strecha(data_dir):
     assert len(list(pairs("oxford", data_dir))) == 40
