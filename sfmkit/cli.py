@@ -19,6 +19,7 @@ COMMANDS = {
     "inspect": ("inspect", "inspect"),
     "view": ("inspect", "view"),
     "data": ("data", "data"),
+    "lab": ("lab", "lab"),
 }
 
 

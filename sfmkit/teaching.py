@@ -45,7 +45,7 @@ class Judgement:
     message: str
 
 
-def check(exercise: str, answer: Any) -> bool:
+def check(exercise: str, answer: Any) -> None:
     """Judge the answer to an exercise and print what there is to say about it.
 
     Args:
@@ -53,19 +53,15 @@ def check(exercise: str, answer: Any) -> bool:
         answer: a number, an array, a string, or a function where one is asked for; ``...`` (not answered yet) prints the
             question.
 
-    Returns:
-        Whether it is right.
-
     Raises:
         InputError: no such exercise.
     """
     judgement = judge(exercise, answer)
     print(("✓ " if judgement.right else "✗ ") + judgement.message)
-    return judgement.right
 
 
 def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None = None) -> Judgement:
-    """The same without printing; `exercises` are :data:`sfmkit.exercises.EXERCISES` unless given."""
+    """Judge without printing; `exercises` are :data:`sfmkit.exercises.EXERCISES` unless given."""
     if exercises is None:
         from .exercises import EXERCISES
 

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import ConnectionPatch
 
 from ..types import Features, PointCloud
 from .colours import operator_colour
@@ -72,16 +71,24 @@ def match_figure(
         operator: whose colour to use.
         most: an even sample of this many is drawn.
     """
-    figure, (left, other) = photographs(image1, image2, height=3.6)
-    a, b = np.asarray(x1), np.asarray(x2)
+    first, second = (getattr(image, "rgb", image) for image in (image1, image2))
+    (h1, w1), (h2, w2) = first.shape[:2], second.shape[:2]
+    shift = round(1.02 * w1)
+    figure = Figure(figsize=(13, 13 * max(h1, h2) / (shift + w2) + 0.8), layout="constrained")
+    ax = figure.add_subplot()
+    ax.imshow(first, cmap="gray", vmin=0, vmax=255)
+    ax.imshow(second, cmap="gray", vmin=0, vmax=255, extent=(shift - 0.5, shift + w2 - 0.5, h2 - 0.5, -0.5))
+    a, b = np.asarray(x1), np.asarray(x2) + [shift, 0]
     good = np.ones(len(a), dtype=bool) if right is None else np.asarray(right)
     rows = np.random.default_rng(0).permutation(len(a))[:most]
-    for k in rows:
-        style = {"color": operator_colour(operator), "lw": 0.8} if good[k] else {"color": GREY, "lw": 0.6, "ls": "--"}
-        figure.add_artist(ConnectionPatch(a[k], b[k], "data", "data", axesA=left, axesB=other, **style))
-    figure.suptitle(
-        f"{len(rows):,} of {len(a):,} matches" + ("" if right is None else f", {good.mean():.0%} of them right")
-    )
+    for some, colour, style in ((rows[~good[rows]], GREY, "--"), (rows[good[rows]], operator_colour(operator), "-")):
+        ax.add_collection(
+            LineCollection(np.stack([a[some], b[some]], 1), colors=colour, linewidths=0.8, linestyles=style)
+        )
+    ax.set(xlim=(-0.5, shift + w2 - 0.5), ylim=(max(h1, h2) - 0.5, -0.5), ylabel="y (pixels)",
+           xlabel=f"x (pixels; image 2 begins at {shift})")  # fmt: skip
+    share = "" if right is None or not len(a) else f", {good.mean():.0%} of all right"
+    ax.set_title(f"{len(rows):,} of {len(a):,} matches{share}")
     return figure
 
 
@@ -127,13 +134,21 @@ def cloud_figure(
     axes = figure.subplots(1, 2)
     for ax, j, title in zip(axes, (1, 2), ("from camera 1", "from above")):
         order = np.argsort(-X[near][:, 2] if j == 1 else -X[near][:, 1])
-        dots = ax.scatter(X[near][order, 0], X[near][order, j], c=shades[order], s=4, linewidths=0, cmap="cividis")
+        dots = ax.scatter(
+            X[near][order, 0],
+            X[near][order, j],
+            c=shades[order],
+            s=4,
+            linewidths=0,
+            cmap=None if colour is None else "cividis",
+        )
         ax.set(aspect="equal", xlabel="x (baselines)", ylabel=f"{'xyz'[j]} (baselines)", title=title)
         if j == 1:
             ax.invert_yaxis()
     if cameras is not None:
-        axes[1].scatter(*np.asarray(cameras)[:, [0, 2]].T, marker="^", s=60, color="black", label="cameras")
-        axes[1].legend(frameon=False)
+        for number, (x, _, z) in enumerate(np.asarray(cameras), start=1):
+            axes[1].plot(x, z, "^", ms=8, color="black")
+            axes[1].annotate(f"camera {number}", (x, z), (6, 4), textcoords="offset points")
     if colour is not None:
         figure.colorbar(dots, ax=axes, label=label)
     return figure

@@ -7,6 +7,7 @@ size on the screen. Nothing is fetched from a network.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from html import escape
 from typing import Any
 
@@ -15,6 +16,7 @@ import ipywidgets
 import numpy as np
 import PIL.Image
 import traitlets
+from matplotlib.figure import Figure
 
 from ..errors import InputError
 from ..images import Image
@@ -22,7 +24,7 @@ from ..pipeline import Reconstruction
 from .colours import operator_colour
 from .explorer import Candidate, EpipolarExplorer, EpipolarView
 
-__all__ = ["Candidate", "EpipolarExplorer", "EpipolarView", "EpipolarWidget", "Photograph"]
+__all__ = ["Candidate", "EpipolarExplorer", "EpipolarView", "EpipolarWidget", "FigureSlider", "Photograph"]
 
 MAX_DRAWN = 400  # candidates; more hide the photograph
 _WIDEST = 1600  # pixels of the picture sent to the browser
@@ -71,6 +73,41 @@ class Photograph(anywidget.AnyWidget):
 
     def __init__(self, image: Image, **settings: Any):
         super().__init__(jpeg=_jpeg(image.rgb), size=list(image.size_wh), **settings)
+
+
+class FigureSlider(ipywidgets.VBox):
+    """A slider above a picture that is drawn anew for each of its values.
+
+    Args:
+        draw: makes a matplotlib Figure of the slider's value.
+        name: of the value.
+        value, low, high, step: of the slider; whole numbers make a whole slider.
+        dpi: of the picture; fewer are faster.
+    """
+
+    def __init__(
+        self,
+        draw: Callable[[Any], Figure],
+        name: str,
+        value: float,
+        low: float,
+        high: float,
+        step: float,
+        dpi: int = 70,
+    ):
+        whole = all(isinstance(v, int) for v in (value, low, high, step))
+        kind = ipywidgets.IntSlider if whole else ipywidgets.FloatSlider
+        self.draw, self.dpi = draw, dpi
+        self.slider = kind(value=value, min=low, max=high, step=step, description=name, continuous_update=False)
+        self.picture = ipywidgets.Image(format="png")
+        self.slider.observe(self._drawn, "value")
+        self._drawn()
+        super().__init__([self.slider, self.picture])
+
+    def _drawn(self, _change: Any = None) -> None:
+        memory = io.BytesIO()
+        self.draw(self.slider.value).savefig(memory, dpi=self.dpi)
+        self.picture.value = memory.getvalue()
 
 
 class EpipolarWidget(ipywidgets.VBox):

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import InputError
@@ -145,3 +146,22 @@ def test_the_embedded_viewer_is_made_without_a_server(result):
     embedded = pytest.importorskip("sfmkit.viz.embedded")
     viewer = embedded.recording_viewer(result, width=600, height=400)
     assert callable(viewer.on_event)
+
+
+def test_a_slider_draws_its_value_anew():
+    widgets = pytest.importorskip("sfmkit.viz.widgets")
+    drawn = []
+
+    def draw(value):
+        drawn.append(value)
+        figure = Figure(figsize=(1, 1))
+        figure.add_subplot().bar([0], [value])
+        return figure
+
+    whole = widgets.FigureSlider(draw, "threshold", 20, 5, 80, 5)
+    first = bytes(whole.picture.value)
+    assert first.startswith(b"\x89PNG")
+    whole.slider.value = 60
+    assert drawn == [20, 60]
+    assert bytes(whole.picture.value) != first
+    assert isinstance(widgets.FigureSlider(draw, "ratio", 0.8, 0.5, 1.0, 0.05).slider.value, float)

@@ -1,0 +1,30 @@
+"""The pair of the notebooks is posed and scaled consistently, with and without the real photographs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sfmkit.datasets.lesson import lesson_pair
+from sfmkit.datasets.synthetic import demo_pair
+from sfmkit.pipeline import reconstruct
+
+
+def test_without_data_it_is_the_bundled_pair_and_its_pose_is_found(monkeypatch, tmp_path):
+    monkeypatch.delenv("SFMKIT_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    pair = lesson_pair(640)
+    assert demo_pair()[0].exists()
+    assert pair.dataset == "synthetic"
+    assert pair.image1.shape == pair.image2.shape == (480, 640, 3)
+    assert pair.camera1.size_wh == (640, 480)
+    result = reconstruct(pair.image1, pair.image2, pair.camera1, ("orb",), truth=(pair.R, pair.t))
+    assert max(result.errors.values()) < 1.0
+
+
+def test_the_real_pair_where_it_is(data_dir, monkeypatch):
+    monkeypatch.setenv("SFMKIT_DATA", str(data_dir))
+    pair = lesson_pair(768)
+    assert pair.dataset == "strecha"
+    assert max(pair.image1.shape) == 768 == max(pair.camera1.size_wh)
+    assert np.isclose(np.linalg.det(pair.R), 1, atol=1e-6)
