@@ -28,7 +28,8 @@ def lesson_pair(longest: int = 1000) -> Pair:
         The pair, its images as (H, W, 3) uint8 RGB arrays.
     """
     pair = _full_size()
-    assert pair.camera1 is not None and pair.camera2 is not None
+    assert pair.camera1 is not None
+    assert pair.camera2 is not None
     (image1, camera1), (image2, camera2) = (
         _reduced(read_image(source).rgb, camera, longest)
         for source, camera in ((pair.image1, pair.camera1), (pair.image2, pair.camera2))
