@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ..pipeline import Reconstruction
 
 _UP = (0, -1, 0)  # the frame of camera 1 has y down
+_FORWARD = np.array([-0.35, 0.42, 0.84])  # the direction of the look into the scene: from behind, above, the right
 
 
 def default_blueprint(result: Reconstruction, prefix: str = "", *, history: bool = False) -> rrb.Blueprint:
@@ -30,9 +31,10 @@ def default_blueprint(result: Reconstruction, prefix: str = "", *, history: bool
         *([_cloud(result, p)] if result.cloud is not None else []),
         _account(p),
     ]
+    # The viewer chooses the timeline `stage` by itself; named here, it warns until the first of it has arrived.
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
-        rrb.TimePanel(state="collapsed", timeline="stage", fps=1),
+        rrb.TimePanel(state="collapsed", fps=1),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="expanded"),
     )
@@ -49,21 +51,30 @@ def _image(result: Reconstruction, p: str, number: int, name: str, *what: str) -
     )  # fmt: skip
 
 
-def _space(result: Reconstruction, p: str, name: str, *what: str, back: float = 1.0) -> rrb.Spatial3DView:
-    """The scene seen from behind and above the cameras."""
+def _space(result: Reconstruction, p: str, name: str, *what: str, near: bool = False) -> rrb.Spatial3DView:
+    """The scene seen from behind and above the cameras; only their neighbourhood if `near`."""
     world = f"{p}/world"
     cameras = [f"{world}/cam{i}{rest}" for i in (1, 2) for rest in ("", "/image", "/image/photo")]
-    cloud = result.cloud
-    target = np.array([0, 0, 4.0])
-    if cloud is not None and len(cloud):
-        target = np.median(cloud.xyz.numpy(), axis=0)
-    # Behind the cameras, above and to their right; what is looked at lies between them and the scene.
-    depth = float(np.linalg.norm(target))
-    eye = rrb.EyeControls3D(position=back * depth * np.array([0.4, -0.35, -0.4]), look_target=0.65 * target, eye_up=_UP)
+    corners = np.array([[-1.5, -1, -1], [1.5, 1, 1]]) if near else _extent(result)
+    centre, radius = corners.mean(0), float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
+    # The viewer's field of view is about 55 degrees high; most of the box's corners are empty, so a bit may be cut.
+    eye = rrb.EyeControls3D(position=centre - 1.5 * radius * _FORWARD, look_target=centre, eye_up=_UP)
     return rrb.Spatial3DView(
         origin=world, contents=[world, *cameras, *(f"{world}/{e}" for e in what)], name=name, eye_controls=eye,
         line_grid=False,
     )  # fmt: skip
+
+
+def _extent(result: Reconstruction) -> np.ndarray:
+    """(2, 3) opposite corners of a box around both cameras and all but the outermost points."""
+    view, cloud = result.two_view, result.cloud
+    inside = [np.zeros((1, 3))]
+    if view.R is not None and view.t is not None:
+        inside.append(-(view.R.T @ view.t).numpy()[None])
+    if cloud is not None and len(cloud):
+        inside.append(np.percentile(cloud.xyz.numpy(), (3, 97), axis=0))
+    everything = np.concatenate(inside)
+    return np.stack([everything.min(0), everything.max(0)])
 
 
 def _side_by_side(result: Reconstruction, p: str, name: str, what: str) -> rrb.Spatial2DView:
@@ -124,7 +135,7 @@ def _epipolar(result: Reconstruction, p: str, history: bool) -> rrb.Vertical:
     return rrb.Vertical(
         rrb.Horizontal(*(_image(result, p, i, f"Image {i}: epipolar lines", *what) for i in (1, 2))),
         rrb.Horizontal(
-            _space(result, p, "Four poses: points in front", "poses/**", "points/photograph", back=1.6),
+            _space(result, p, "Four poses: points in front", "poses/**", "points/photograph", near=True),
             rrb.Tabs(
                 *(charts if history else []),
                 rrb.TextDocumentView(origin=f"{p}/verdict", name="Verdict and evidence"),

@@ -17,7 +17,19 @@ from ..geometry.pose import cheirality
 from ..geometry.reprojection import project
 from ..types import Correspondences, PointCloud, TwoView, Verdict
 from . import marks
-from .stream import GREY, MAGENTA, Cameras, columns, log_survivors, pinhole, put, ramp, side_by_side, strokes
+from .stream import (
+    GREY,
+    MAGENTA,
+    Cameras,
+    columns,
+    dot_radius,
+    log_survivors,
+    pinhole,
+    put,
+    ramp,
+    side_by_side,
+    strokes,
+)
 from .trace import Trace, joined_names
 
 RESIDUAL_GAIN = 50  # residuals are drawn this many times longer than they are
@@ -165,7 +177,7 @@ def log_cloud(
         ("operator", {}),
         ("density", {"colors": ramp(np.log(marks.neighbour_density(xyz)))}),
     ):
-        dots = rr.Points3D(xyz, class_ids=k, radii=rr.Radius.ui_points(1), **colours)
+        dots = rr.Points3D(xyz, class_ids=k, radii=dot_radius(len(cloud)), **colours)
         put(rec, prefix, f"world/points/{name}", dots, details, stage="triangulate")
     for number, (camera, x, pose) in enumerate(
         ((view.camera1, corr.x1, (None, None)), (view.camera2, corr.x2, (view.R, view.t))), start=1
@@ -186,7 +198,7 @@ def log_uncertainty(
         return
     covariance, k, xyz = cloud.covariance.numpy(), cloud.operator_id.numpy(), cloud.xyz.numpy()
     sigma = marks.largest_sigma(covariance)
-    dots = rr.Points3D(xyz, class_ids=k, colors=ramp(np.log(np.maximum(sigma, 1e-12))), radii=rr.Radius.ui_points(1.5))
+    dots = rr.Points3D(xyz, class_ids=k, colors=ramp(np.log(np.maximum(sigma, 1e-12))), radii=dot_radius(len(cloud)))
     put(rec, prefix, "world/points/uncertainty", dots, _point_columns(cloud, corr), stage="refine")
     some = marks.spread(xyz[:, :2] / xyz[:, 2:], sample)
     half_sizes, quaternions = marks.ellipsoids(covariance[some], SIGMAS)

@@ -21,7 +21,7 @@ from matplotlib import colormaps
 from ..account import ALL, OperatorAccount
 from ..errors import OutputError
 from ..estimation.result import Improvement
-from ..pipeline import Reconstruction
+from ..pipeline import Reconstruction, name_of
 from ..report import make_report
 from ..writing import atomic_write
 from . import marks, text
@@ -79,6 +79,7 @@ def save_recording(
         rec.set_log_tick_enabled(False)
         try:
             rec.save(temporary, default_blueprint=default_blueprint(result, history=bool(history)))
+            rec.send_recording_name(" + ".join(name_of(image, n) for n, image in enumerate(result.images, start=1)))
             log_reconstruction(rec, result, originals=originals, history=history)
             rec.flush()
         except (RuntimeError, ValueError) as error:
@@ -101,6 +102,8 @@ def log_reconstruction(
     kind = result.options.estimate.model
     traced = trace(corr, view, cloud, result.options.estimate.threshold_px)
     depth = float(cloud.xyz[:, 2].median()) if cloud is not None and len(cloud) else 4.0
+    for stage, words in text.story(result).items():
+        put(rec, prefix, "story", rr.TextDocument(words, media_type="text/markdown"), stage=stage)
     log_legend(rec, corr.operators, prefix)
     log_images(rec, result.images, cameras, prefix, originals=originals, frustum=0.15 * depth)
     became = trace_keypoints(result.features, result.matches, corr, traced)
@@ -116,8 +119,6 @@ def log_reconstruction(
         log_match(rec, int(cloud.match[marks.telling_point(cloud)]), corr, view, cloud, prefix)
     log_account(rec, result.account, prefix)
     log_timings(rec, result.timings_s, prefix)
-    for stage, words in text.story(result).items():
-        put(rec, prefix, "story", rr.TextDocument(words, media_type="text/markdown"), stage=stage)
     put(rec, prefix, "summary", rr.TextDocument(text.report_markdown(result), media_type="text/markdown"))
     put(
         rec,

@@ -76,3 +76,8 @@ def beside(cameras: Cameras) -> int:
     """How far image 2 is shifted to the right where the images stand side by side, pixels."""
     w1, w2 = cameras[0].size_wh[0], cameras[1].size_wh[0]
     return w1 + round(0.01 * (w1 + w2))
+
+
+def dot_radius(n: int) -> rr.Radius:
+    """The radius of n dots in one view: small enough to see between many, large enough to click one of few."""
+    return rr.Radius.ui_points(float(np.clip(150 / max(n, 1) ** 0.5, 1, 1.8)))

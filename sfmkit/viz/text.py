@@ -43,7 +43,10 @@ def timings_markdown(timings_s: Mapping[str, float]) -> str:
 
 def verdict_markdown(view: TwoView) -> str:
     """The verdict, its reason and the numbers it rests on."""
-    rows = [(name.replace("_", " "), f"{value:,.4g}") for name, value in view.evidence.items()]
+    rows = [
+        (name.replace("_", " "), f"{value:,.0f}" if abs(value) >= 100 or float(value).is_integer() else f"{value:.4g}")
+        for name, value in view.evidence.items()
+    ]
     return f"## {view.verdict.value}\n\n{view.reason}\n\n{table(('evidence', ''), rows)}"
 
 
@@ -106,6 +109,7 @@ def story(result: Reconstruction) -> dict[str, str]:
         )
         if result.cloud.covariance is not None:
             told["refine"] = (
-                "How sure each point is: the ellipsoids are stretched along the rays, where depth is uncertain."
+                "Pose and points were adjusted together, and each point knows how sure it is: the ellipsoids are stretched "
+                "along the rays, where depth is uncertain."
             )
     return {stage: f"## {number}. {stage}\n\n{text}" for number, (stage, text) in enumerate(told.items())}
