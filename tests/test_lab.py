@@ -39,7 +39,8 @@ def test_lab_opens_the_notebooks_on_this_machine_only(started):
 
 def test_a_folder_of_ones_own(started, tmp_path):
     (tmp_path / "mine.ipynb").write_text("{}")
-    assert CliRunner().invoke(main, ["lab", str(tmp_path)]).exit_code == 0
+    assert CliRunner().invoke(main, ["lab", str(tmp_path), "--allow-root"]).exit_code == 0
+    assert "--ServerApp.allow_root=True" in started[0][0]
     assert f"--ServerApp.root_dir={tmp_path.resolve()}" in started[0][0]
 
 

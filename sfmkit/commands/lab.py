@@ -34,13 +34,15 @@ def notebook_folder(folder: Path | None) -> Path:
     )
 
 
-def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict[str, str]]:
+def lab_command(folder: Path, port: int, browser: bool, allow_root: bool = False) -> tuple[list[str], dict[str, str]]:
     """The command line of JupyterLab and its environment."""
     command = [sys.executable, "-m", "jupyterlab", f"--ServerApp.root_dir={folder}", f"--ServerApp.ip={HOST}",
                f"--ServerApp.port={port}", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
                "--LabApp.news_url=None"]  # fmt: skip
     if not browser:
         command.append("--ServerApp.open_browser=False")
+    if allow_root:
+        command.append("--ServerApp.allow_root=True")
     # The embedded viewer's page is served by the kernel: read when rerun is imported, so it must be there before.
     return command, {**os.environ, "RERUN_NOTEBOOK_ASSET": "serve-local"}
 
@@ -51,7 +53,8 @@ def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict
     "--port", type=click.IntRange(0, 65535), default=8888, show_default=True, help="The next free one if taken."
 )
 @click.option("--browser/--no-browser", default=True, show_default=True, help="Open a browser on it.")
-def lab(folder: Path | None, port: int, browser: bool) -> None:
+@click.option("--allow-root", is_flag=True, help="Run as root, which JupyterLab refuses otherwise; for containers.")
+def lab(folder: Path | None, port: int, browser: bool, allow_root: bool) -> None:
     """Open the notebooks in JupyterLab; it listens on 127.0.0.1 only and needs no internet.
 
     FOLDER: other notebooks than the project's own.
@@ -59,5 +62,5 @@ def lab(folder: Path | None, port: int, browser: bool) -> None:
     place = notebook_folder(folder)
     if find_spec("jupyterlab") is None:
         raise InputError("JupyterLab is not installed here; install the extra: pip install 'sfmkit[notebook]'")
-    command, environment = lab_command(place, port, browser)
+    command, environment = lab_command(place, port, browser, allow_root)
     sys.exit(subprocess.run(command, env=environment, check=False).returncode)
