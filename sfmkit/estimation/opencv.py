@@ -13,7 +13,7 @@ from ..geometry.coordinates import denormalize, normalize
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.homography import homography_sampson
 from ..geometry.losses import marginal_score
-from .result import RobustModel
+from .result import RobustModel, supported
 
 METHODS = {
     "ransac": cv2.RANSAC,
@@ -60,7 +60,9 @@ def estimate_essential(
     if len(x1) < 5:
         return RobustModel.failed(len(x1), device=x1.device)
     if torch.equal(K1, K2):
-        K, p1, p2 = K1, x1, x2
+        K = K1.clone()
+        K[:2, 2] = 0  # OpenCV computes in float32: far from the origin its pixels are coarse
+        p1, p2 = x1 - K1[:2, 2], x2 - K1[:2, 2]
     else:
         K = torch.diag(torch.ones(3, dtype=K1.dtype, device=K1.device))
         K[0, 0] = K[1, 1] = (K1[0, 0] + K1[1, 1] + K2[0, 0] + K2[1, 1]) / 4
@@ -74,12 +76,13 @@ def estimate_essential(
         threshold=threshold_px,
         maxIters=max_iterations,
     )
-    return _best(
+    best = _best(
         [E.to(x1) for E in found],
         lambda E: sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2,
         x1,
         threshold_px,
     )
+    return supported(best, x1, x2, 5, threshold_px)
 
 
 def estimate_fundamental(
@@ -100,9 +103,12 @@ def estimate_fundamental(
     flag = _flag(method)
     if len(x1) < 8:
         return RobustModel.failed(len(x1), device=x1.device)
-    p1, p2 = _shuffled(x1, x2, seed)
+    (y1, T1), (y2, T2) = _centred(x1), _centred(x2)
+    p1, p2 = _shuffled(y1, y2, seed)
     found = _solve(cv2.findFundamentalMat, p1, p2, flag, threshold_px, confidence, max_iterations)
-    return _best([F.to(x1) for F in found], lambda F: sampson_distance(F, x1, x2) ** 2, x1, threshold_px)
+    models = [T2.mT @ F.to(x1) @ T1 for F in found]
+    best = _best(models, lambda F: sampson_distance(F, x1, x2) ** 2, x1, threshold_px)
+    return supported(best, x1, x2, 8, threshold_px)
 
 
 def estimate_homography(
@@ -123,9 +129,12 @@ def estimate_homography(
     flag = _flag(method)
     if len(x1) < 4:
         return RobustModel.failed(len(x1), device=x1.device)
-    p1, p2 = _shuffled(x1, x2, seed)
+    (y1, T1), (y2, T2) = _centred(x1), _centred(x2)
+    p1, p2 = _shuffled(y1, y2, seed)
     found = _solve(cv2.findHomography, p1, p2, flag, threshold_px, maxIters=max_iterations, confidence=confidence)
-    return _best([H.to(x1) for H in found], lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
+    models = [torch.linalg.inv(T2) @ H.to(x1) @ T1 for H in found]
+    best = _best(models, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
+    return supported(best, x1, x2, 4, threshold_px)
 
 
 def _flag(method: str) -> int:
@@ -137,6 +146,13 @@ def _flag(method: str) -> int:
 def _shuffled(x1: Tensor, x2: Tensor, seed: int) -> tuple[np.ndarray, np.ndarray]:
     order = np.random.default_rng(seed).permutation(len(x1))
     return x1.detach().cpu().numpy()[order], x2.detach().cpu().numpy()[order]
+
+
+def _centred(x: Tensor) -> tuple[Tensor, Tensor]:
+    """The points about their mean, and the shift (3, 3): OpenCV computes in float32, coarse far from the origin."""
+    T = torch.eye(3, dtype=x.dtype, device=x.device)
+    T[:2, 2] = -x.detach().mean(0)
+    return x + T[:2, 2], T
 
 
 def _solve(function, *args, **kwargs) -> list[Tensor]:

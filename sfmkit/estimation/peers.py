@@ -16,7 +16,7 @@ from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
 from ..geometry.homography import homography_sampson
 from ..geometry.losses import marginal_score
-from .result import RobustModel
+from .result import RobustModel, supported
 
 PEERS = ("poselib", "pycolmap")
 
@@ -44,7 +44,7 @@ def backend(name: str) -> Any:
         def square(E: Tensor) -> Tensor:
             return squared_sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2)
 
-        return _result(found, square, x1, threshold_px)
+        return supported(_result(found, square, x1, threshold_px), x1, x2, _LEAST["essential"], threshold_px)
 
     def estimate_fundamental(
         x1: Tensor, x2: Tensor, *, threshold_px: float = 1.0, method: str = "loransac",
@@ -53,7 +53,8 @@ def backend(name: str) -> Any:
         """Fundamental matrix; see :func:`sfmkit.estimation.opencv.estimate_fundamental`."""
         _check(name, x1, x2, method)
         found = fit(module, "fundamental", x1, x2, None, threshold_px, confidence, max_iterations, seed)
-        return _result(found, lambda F: squared_sampson_distance(F, x1, x2), x1, threshold_px)
+        result = _result(found, lambda F: squared_sampson_distance(F, x1, x2), x1, threshold_px)
+        return supported(result, x1, x2, _LEAST["fundamental"], threshold_px)
 
     def estimate_homography(
         x1: Tensor, x2: Tensor, *, threshold_px: float = 1.0, method: str = "loransac",
@@ -62,7 +63,8 @@ def backend(name: str) -> Any:
         """Homography; see :func:`sfmkit.estimation.opencv.estimate_homography`."""
         _check(name, x1, x2, method)
         found = fit(module, "homography", x1, x2, None, threshold_px, confidence, max_iterations, seed)
-        return _result(found, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
+        result = _result(found, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
+        return supported(result, x1, x2, _LEAST["homography"], threshold_px)
 
     return SimpleNamespace(
         estimate_essential=estimate_essential,
@@ -138,7 +140,7 @@ def _pycolmap(
 
 
 def _essential(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    rotation, direction = (torch.from_numpy(np.asarray(a, dtype=np.float64)) for a in (R, t))
+    rotation, direction = (torch.from_numpy(np.array(a, dtype=np.float64)) for a in (R, t))
     return essential_from_pose(rotation, direction / direction.norm()).numpy()
 
 

@@ -49,3 +49,28 @@ class Improvement:
     inliers: int
     score: float
     stage: str
+
+
+def supported(found: RobustModel, x1: Tensor, x2: Tensor, least: int, threshold_px: float) -> RobustModel:
+    """What was found, or no model where its inliers determine none.
+
+    Any number of copies of a few matches, or of points on one line of an image, agree with a whole family of models: they
+    would all be inliers of an arbitrary one.
+
+    Args:
+        x1, x2: (N, 2) pixels.
+        least: distinct matches that it takes.
+        threshold_px: inliers that lie nearer than this to one line, in the root mean square, cannot be told from a line.
+    """
+    if found.model is None:
+        return found
+    y1, y2 = x1.detach()[found.inliers].double(), x2.detach()[found.inliers].double()
+    rows = torch.cat((y1, y2), 1)
+    # Mostly the first few tell: sorting all of them costs milliseconds.
+    if len(torch.unique(rows[:256], dim=0)) < least and len(torch.unique(rows, dim=0)) < least:
+        return RobustModel.failed(len(x1), found.iterations, x1.device)
+    for y in (y1, y2):
+        off_line = torch.linalg.eigvalsh(torch.cov(y.T, correction=0))[0]
+        if float(off_line) < threshold_px**2:
+            return RobustModel.failed(len(x1), found.iterations, x1.device)
+    return found

@@ -22,7 +22,7 @@ from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.losses import marginal_score
 from ._problems import EssentialProblem, FundamentalProblem, HomographyProblem, Problem
 from ._sampling import Sampler
-from .result import Improvement, RobustModel
+from .result import Improvement, RobustModel, supported
 
 METHODS = ("magsac",)
 
@@ -66,7 +66,8 @@ def estimate_essential(
         groups: (N,) int64, such as the operator of each match: groups that turn out to hold more inliers are drawn more.
 
     Returns:
-        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6 matches, or none was found.
+        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6 matches, or none
+        was found, or its inliers are fewer than 6 but for copies, or lie on one line.
 
     Raises:
         InputError: shapes, dtypes, NaN, an unknown method.
@@ -191,7 +192,8 @@ def _search(
     inliers = torch.empty_like(agree)
     inliers[shuffle.to(agree.device)] = agree
     last = Improvement(iterations, best, int(agree.sum()), float(score.mean()), "refinement")
-    return RobustModel(best, inliers, float(score.sum()), iterations, (*history, last))
+    found = RobustModel(best, inliers, float(score.sum()), iterations, (*history, last))
+    return supported(found, x1, x2, minimum, threshold)
 
 
 def _explore(

@@ -24,7 +24,7 @@ from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
 from ..types import Camera, Correspondences, TwoView, Verdict
 from . import opencv
-from .result import RobustModel
+from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, judge
 
 # The search for a competing plane: a plane that matters is found in far fewer samples than a full search would take.
@@ -88,9 +88,13 @@ def estimate_two_view(
             {"matches": n},
         )
 
-    fit = robust_fit(x1, x2, K1, K2, corr, options, seed)
+    # Copies of a few matches must not pass for many: chance is judged by their number.
+    fit = supported(robust_fit(x1, x2, K1, K2, corr, options, seed), x1, x2, MIN_MATCHES, options.threshold_px)
     if fit.model is None:
-        return too_little("No epipolar geometry was found among the matches.", {"matches": n, "inliers": 0})
+        return too_little(
+            f"No epipolar geometry was found that {MIN_MATCHES} different matches agree on, off one line.",
+            {"matches": n, "inliers": 0},
+        )
     calibrated = options.model == "essential"
     E = fit.model if calibrated else essential_from_fundamental(fit.model, K1, K2)
     R, t = pose_of(E, normalize(x1, K1), normalize(x2, K2), fit.inliers)
