@@ -20,6 +20,7 @@ COMMANDS = {
     "view": ("inspect", "view"),
     "data": ("data", "data"),
     "lab": ("lab", "lab"),
+    "bench": ("bench", "bench"),
 }
 
 

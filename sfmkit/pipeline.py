@@ -324,7 +324,7 @@ def pose_errors(view: TwoView, R: np.ndarray, t: np.ndarray) -> dict[str, float]
     nan = float("nan")
     if view.R is None:
         return {"rotation_deg": nan, "translation_deg": nan}
-    R_true, t_true = (torch.as_tensor(a, dtype=torch.float64) for a in (R, t))
+    R_true, t_true = (torch.tensor(np.asarray(a), dtype=torch.float64) for a in (R, t))
     return {
         "rotation_deg": float(rotation_error(view.R, R_true)),
         "translation_deg": nan if view.t is None else float(translation_error(view.t, t_true)),
