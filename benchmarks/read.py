@@ -1,6 +1,6 @@
 """How long reading a photograph takes: ours against Pillow and OpenCV, interleaved in one process.
 
-    python benchmarks/read.py [PHOTO]
+python benchmarks/read.py [PHOTO]
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from .types import Features, Matches
 
 _BLOCK = 128  # columns whose largest score is taken first; the argmax then searches one block in place of a whole row
 _STRIP = {"cpu": 5 << 18, "cuda": 1 << 26}  # entries of the product formed at a time: 5 MiB stay in a CPU's cache
-_PART = 1024  # rows that one core searches in a go
+_PART = 1024  # rows at least that one core searches in a go
 _MANY = 64  # candidates within rounding of the nearest that are measured one by one
 
 
@@ -41,9 +41,9 @@ def match(
 
     The search is exact, and the norm is that of the features. Where both know the sign of the Laplacian, only features of
     equal sign are compared (Bay et al. 2008, section 4.3), and the second-nearest neighbour is one of that sign too.
-    Equally near candidates are decided for the lowest row, in both directions, so the result is deterministic. L2 distances
-    are ranked in float32: those that differ by less than about 1e-7 of the descriptors' squared length, squared, count
-    as equal there; the distances returned are computed afresh from the differences.
+    Equally near candidates are decided for the lowest row, in both directions, so the result is deterministic. What
+    rounding in float32 leaves open is decided in float64. On CUDA, torch's float32 matrix products must not be set to a
+    lower precision (TF32) than torch's own default.
 
     Args:
         features1, features2: N1 and N2 features of one operator in image 1 and image 2.
@@ -186,7 +186,8 @@ def _nearest(
     """
     n2 = len(b)
     padded = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])])
-    parts = _map_on_cores(lambda part: _search(part, padded, n2, mutual), a.split(_PART) if a.is_cpu else [a])
+    size = max(_PART, -(-len(a) // (4 * torch.get_num_threads()))) if a.is_cpu else len(a)
+    parts = _map_on_cores(lambda part: _search(part, padded, n2, mutual), a.split(size))
     best, second, value, second_value, rival = (
         torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "second_value", "rival")
     )

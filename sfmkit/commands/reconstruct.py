@@ -42,14 +42,23 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[st
 )
 @click.option("--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels.")
 @click.option(
-    "--budget", type=click.IntRange(min=1), metavar="N", help="Keypoints per operator and image, spread evenly.  [default preset: 40000]"
+    "--budget",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Keypoints per operator and image, spread evenly.  [default preset: 40000]",
 )
 @click.option(
     "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
 )
 @click.option("--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B.")
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/reconstruction"), show_default=True, help="Folder to write.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/reconstruction"),
+    show_default=True,
+    help="Folder to write.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--colmap", is_flag=True, help="Also write a COLMAP text model.")
 @click.option("--rrd/--no-rrd", default=True, show_default=True, help="Write recording.rrd for the Rerun viewer.")
