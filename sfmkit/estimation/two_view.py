@@ -192,7 +192,10 @@ def robust_fit(
         "seed": seed,
     }
     if options.backend == "torch":
-        settings |= {"ratio": corr.ratio, "groups": corr.operator_id}
+        if bool(torch.isfinite(corr.ratio).any()):
+            settings["ratio"] = corr.ratio
+        if len(corr.operators) > 1:
+            settings["groups"] = corr.operator_id
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":

@@ -136,3 +136,12 @@ def test_the_fundamental_path_gives_a_pose_too():
 def test_thresholds_must_be_positive():
     with pytest.raises(InputError, match="threshold_px"):
         EstimateOptions(threshold_px=0)
+
+
+@pytest.mark.parametrize("seed", (12, 18))
+def test_unknown_distance_ratios_do_not_mislead_the_search(seed):
+    """Where no match knows its ratio, the order they give is no order: the search must not follow it."""
+    corr, R, _ = scene("depth", n=500, outliers=0.75, seed=seed)
+    view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
+    assert view.verdict is Verdict.GENERAL
+    assert rotation_degrees(view.R.numpy(), R) < 0.5
