@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _PRINTED_FILES = (
     ("report.json", "numbers"),
     ("cloud.ply", "the cloud, for any point cloud viewer"),
-    ("recording.rrd", "every stage: rerun recording.rrd"),
+    ("recording.rrd", "every stage: sfmkit view recording.rrd"),
     ("matches.npz", "correspondences with their provenance"),
     ("matches.png", "picture of the matches"),
     ("cloud.png", "picture of the cloud"),

@@ -1,0 +1,53 @@
+"""How long a recording of a pair takes to write and to read back, and how large it is.
+
+    python benchmarks/recording.py [IMAGE1 IMAGE2 INTRINSICS]
+
+Without arguments the bundled pair. Medians of five.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from sfmkit import reconstruct
+from sfmkit.cameras import parse_intrinsics
+from sfmkit.datasets.synthetic import demo_pair
+from sfmkit.images import read_image
+from sfmkit.inspection import point_origin
+from sfmkit.viz.recording import read_recording
+from sfmkit.viz.rerun import save_recording
+
+
+def median_s(work: Callable[[], object]) -> float:
+    seconds = []
+    for _ in range(5):
+        began = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - began)
+    return statistics.median(seconds)
+
+
+def main() -> None:
+    first, second, intrinsics = (str(a) for a in (sys.argv[1:] or demo_pair()))
+    image = read_image(first)
+    result = reconstruct(image, second, parse_intrinsics(intrinsics, image.size_wh))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.rrd"
+        write = median_s(lambda: save_recording(path, result))
+        size = path.stat().st_size / 1e6
+        read = median_s(lambda: point_origin(read_recording(path), 0))
+    account = result.account["multi"]
+    print("| keypoints | correspondences | points | size, MB | write, s | inspect a point, s |")
+    print("|--:|--:|--:|--:|--:|--:|")
+    print(
+        f"| {sum(account.keypoints):,} | {account.initial:,} | {account.points:,} | {size:.1f} | {write:.2f} | {read:.2f} |"
+    )
+
+
+if __name__ == "__main__":
+    main()
