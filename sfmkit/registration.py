@@ -38,9 +38,10 @@ _ROUNDS = 2  # of guided matching at most: the second starts from a better homog
 _SETTLED_PX = 0.5  # a round that moves no corner farther is the last
 _RADIUS = 2.0  # guided matching looks this many thresholds around the predicted position
 _DISTANCE_QUANTILE = 0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
-_WORST_RATIO = 1.2  # of descriptor distance to its limit, at which a match would not count
+_WORST_RATIO = 1.35  # of descriptor distance to its limit, at which a match would not count
 _LEAST_SIGMA_PX = 0.1  # no operator localises better
-_GRID = 8
+_GRID = 8  # cells a side, in which a crowd of matches is thinned by weight
+_CROWD = 0.5  # a match counts by the number in its cell to the power of minus this: 0 counts each alike, 1 each cell
 _LEAST_INLIERS = 10  # of an operator, to know its descriptor distances
 
 
@@ -185,8 +186,8 @@ def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
 
     Operators differ in precision: each counts by the inverse square of its median distance to H. Within an operator, the
     better two descriptors agree, the better do their positions. And a crowd of matches on one detail, which is rarely
-    exactly in the plane, should not decide for the whole image: a match counts by the inverse root of the number in its
-    cell of an 8 x 8 grid.
+    exactly in the plane, should not decide for the whole image: the more matches in its cell of a grid, the less one
+    counts.
     """
     e = homography_sampson(H, guided.x1, guided.x2).sqrt()
     weight = _WORST_RATIO - guided.ratio
@@ -197,5 +198,5 @@ def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
     low, high = guided.x1.amin(0), guided.x1.amax(0)
     cell = ((guided.x1 - low) / (high - low).clamp(min=1) * _GRID).long().clamp(max=_GRID - 1)
     cell = cell[:, 0] * _GRID + cell[:, 1]
-    weight /= torch.bincount(cell)[cell].sqrt()
+    weight /= torch.bincount(cell)[cell].double() ** _CROWD
     return weight / weight.mean()
