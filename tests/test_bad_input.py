@@ -254,7 +254,10 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
     image1, image2, truth = demo_pair()
     command = [sys.executable, "-m", "sfmkit.cli", "reconstruct", str(image1), str(image2), "--intrinsics", str(truth),
                "--out", str(tmp_path / "o")]  # fmt: skip
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # A runner in the background may have told its children to ignore SIGINT.
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    )
     line = ""
     while "detect" not in line:  # well inside the work
         line = process.stderr.readline()
