@@ -138,7 +138,7 @@ def test_thresholds_must_be_positive():
         EstimateOptions(threshold_px=0)
 
 
-@pytest.mark.parametrize("seed", (12, 18))
+@pytest.mark.parametrize("seed", [12, 18])
 def test_unknown_distance_ratios_do_not_mislead_the_search(seed):
     """Where no match knows its ratio, the order they give is no order: the search must not follow it."""
     corr, R, _ = scene("depth", n=500, outliers=0.75, seed=seed)
