@@ -11,8 +11,7 @@ while it still lies in the cache. Reading the full product back from memory woul
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor
 
 from .errors import InputError
+from .parallel import map_on_cores
 from .types import Features, Matches
 
 _BLOCK = 128  # columns whose largest score is taken first; the argmax then searches one block in place of a whole row
@@ -187,7 +187,7 @@ def _nearest(
     n2 = len(b)
     padded = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])])
     size = max(_PART, -(-len(a) // (4 * torch.get_num_threads()))) if a.is_cpu else len(a)
-    parts = _map_on_cores(lambda part: _search(part, padded, n2, mutual), a.split(size))
+    parts = map_on_cores(lambda part: _search(part, padded, n2, mutual), a.split(size))
     best, second, value, second_value, rival = (
         torch.cat([getattr(p, name) for p in parts]) for name in ("best", "second", "value", "second_value", "rival")
     )
@@ -274,22 +274,6 @@ def _search_exactly(a: Tensor, b: Tensor, tolerance: float, distance: Distance) 
             nearest[row[rank == 0]] = column[rank == 0]
             second[row[rank == 1]] = column[rank == 1]
     return nearest, second
-
-
-def _map_on_cores(function: Callable[[Tensor], _Found], parts: Sequence[Tensor]) -> list[_Found]:
-    """`function` of every part, on as many cores as torch may use, each part on one core.
-
-    Parts that never wait for each other also get on when the cores are busy with other work, where torch's own threads,
-    which meet after every operation, spend most of the time waiting.
-    """
-    threads = torch.get_num_threads()
-    if threads == 1 or len(parts) == 1:
-        return [function(part) for part in parts]
-    try:
-        with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            return list(pool.map(function, parts))
-    finally:
-        torch.set_num_threads(threads)  # a worker's setting is also the default of threads to come
 
 
 def _strip(a: Tensor, b: Tensor) -> int:
