@@ -35,7 +35,8 @@ class Sampler:
         Args:
             n: matches. size: of a sample.
             weights: (n,) relative probability of a match to be drawn, not negative.
-            quality: (n,) the smaller the more promising (distance ratio); NaN goes last.
+            quality: (n,) the smaller the more promising (distance ratio); NaN goes last. Where all are NaN there is no
+                order to follow: the arbitrary one would confine the search to the first few matches.
             groups: (n,) int64, such as the operator that found a match.
         """
         self.size, self.generator = size, generator
@@ -43,7 +44,7 @@ class Sampler:
         self.prior = self.weights
         self.order = None
         self.kind = None if groups is None else groups.detach().cpu()
-        if quality is not None:
+        if quality is not None and bool(torch.isfinite(quality).any()):
             q = torch.nan_to_num(quality.detach().double().cpu(), nan=torch.inf)
             self.order = q.argsort(stable=True)
             grade = torch.empty(n, dtype=torch.int64)

@@ -192,10 +192,7 @@ def robust_fit(
         "seed": seed,
     }
     if options.backend == "torch":
-        if bool(torch.isfinite(corr.ratio).any()):
-            settings["ratio"] = corr.ratio
-        if len(corr.operators) > 1:
-            settings["groups"] = corr.operator_id
+        settings |= {"ratio": corr.ratio, "groups": corr.operator_id}
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":
