@@ -8,6 +8,7 @@ residual is linear in the nine entries of F, its squared gradient linear in twel
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -94,6 +95,10 @@ class Problem(ABC):
             out.append(quick_scores(self.squares(block, upto), weights))
         return torch.cat(out) / upto if out else torch.zeros(0, device=self.x1.device)
 
+    def final_scores(self, models: Tensor) -> Tensor:
+        """(M,) mean score per match, over all of them, by everything that the problem knows."""
+        return self.scores(models, len(self.x1))
+
     def _refit(self, fit, models: Tensor, x1: Tensor, x2: Tensor, w: Tensor) -> Tensor:
         """Weighted linear fits; a model that too few matches support stays as it is."""
         if self.weights is not None:
@@ -156,6 +161,9 @@ class EssentialProblem(_Epipolar):
         self.left = (self.K2i @ torch.linalg.inv(self.T2)).mT.contiguous()
         self.right = self.K1i @ torch.linalg.inv(self.T1)
         self.matches = _matches(x1, x2, K1, K2, weights)
+        self.h1, self.h2 = (h.float() for h in (self.matches.h1, self.matches.h2))
+        self.n1, self.n2 = self.h1.square().sum(0), self.h2.square().sum(0)
+        self.rows = epipolar_rows(self.xn1, self.xn2).mT.float()
 
     def solve(self, samples: Tensor) -> Tensor:
         E, _ = five_point(self.xn1[samples], self.xn2[samples], _SEARCH_CELLS)
@@ -163,6 +171,27 @@ class EssentialProblem(_Epipolar):
 
     def fundamental(self, models: Tensor) -> Tensor:
         return self.left @ models @ self.right
+
+    def final_scores(self, models: Tensor) -> Tensor:
+        """Of the four poses that E allows the best, counting only the matches that it puts in front of both cameras.
+
+        The distances alone cannot tell the true E of a plane from others that fit its matches as well, or better.
+
+        With ``X2 = d2 h2 = d1 R h1 + t``, both depths are ratios of three bilinear forms, ``p = h2^T R h1``,
+        ``q = t^T R h1`` and ``s = t^T h2``, of which the twisted pair of R changes only p, to ``2 q s - p``.
+        """
+        R, t = (a.float() for a in one_pose(models))
+        p = R.flatten(1) @ self.rows
+        q, s = (t[:, None] @ R).squeeze(1) @ self.h1, t @ self.h2
+        square = self.squares(models, len(self.x1))
+        score = [quick_scores(square.masked_fill(~front, 1), self.weights32) for front in self._in_front(p, q, s)]
+        return torch.stack(score).amax(0) / len(self.x1)
+
+    def _in_front(self, p: Tensor, q: Tensor, s: Tensor) -> Iterator[Tensor]:
+        for turned in (p, 2 * q * s - p):
+            depth1, depth2 = turned * s - self.n2 * q, self.n1 * s - turned * q
+            yield (depth1 > 0) & (depth2 > 0)
+            yield (depth1 < 0) & (depth2 < 0)
 
     def exact(self, model: Tensor) -> Tensor:
         return _sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2

@@ -9,15 +9,18 @@ from torch import Tensor
 
 _POOLS = (0.1, 0.3, 1.0)  # shares of the matches, best first, that the rounds draw from in turn
 _SMALLEST_POOL = 100
-_GRADES = 8  # of quality, within each group of matches
+_GRADES = 8  # of each measure of promise, within each group of matches
+_SHRINK = 2.0  # matches of the average kind that each kind is credited with: a few do not make a rate
+_SLIM = 1e-3  # chance of the worst kind: a wrong model must not rule matches out for good
 
 
 class Sampler:
     """Draws minimal samples of distinct matches, and knows how likely it has missed a good one so far.
 
     PROSAC's idea on batches: some rounds draw from the most promising matches only, others from all. Within a round
-    every match has its own probability, learned from how the best model so far fares with its like. Counting what has been tried, a round of n samples has missed every
-    all-inlier sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is an inlier.
+    every match has its own probability, learned from how the best model so far fares with its like. Counting what has
+    been tried, a round of n samples has missed every all-inlier sample with probability ``(1 - p^k)^n``, where p is the
+    probability that one draw is an inlier.
 
     Source: Chum & Matas, "Matching with PROSAC - progressive sample consensus", CVPR 2005.
     """
@@ -35,22 +38,33 @@ class Sampler:
         Args:
             n: matches. size: of a sample.
             weights: (n,) relative probability of a match to be drawn, not negative.
-            quality: (n,) the smaller the more promising (distance ratio); NaN goes last. Where all are NaN there is no
-                order to follow: the arbitrary one would confine the search to the first few matches.
+            quality: see :meth:`consider`.
             groups: (n,) int64, such as the operator that found a match.
         """
         self.size, self.generator = size, generator
         self.weights = torch.ones(n, dtype=torch.float64) if weights is None else weights.detach().double().cpu()
         self.prior = self.weights
-        self.order = None
+        self.orders: list[Tensor] = []
         self.kind = None if groups is None else groups.detach().cpu()
-        if quality is not None and bool(torch.isfinite(quality).any()):
-            q = torch.nan_to_num(quality.detach().double().cpu(), nan=torch.inf)
-            self.order = q.argsort(stable=True)
-            grade = torch.empty(n, dtype=torch.int64)
-            grade[self.order] = torch.arange(n) * _GRADES // n
-            self.kind = grade if self.kind is None else self.kind * _GRADES + grade
         self.rounds: list[tuple[int, Tensor]] = []
+        if quality is not None:
+            self.consider(quality)
+
+    def consider(self, quality: Tensor) -> None:
+        """Follow the order of one more measure of promise, in turn with those known.
+
+        Args:
+            quality: (n,) the smaller the more promising; NaN goes last. Where all are NaN or infinite there is no
+                order to follow: the arbitrary one would confine the search to the first few matches.
+        """
+        q = quality.detach().double().cpu()
+        if not bool(torch.isfinite(q).any()):
+            return
+        order = torch.nan_to_num(q, nan=torch.inf).argsort(stable=True)
+        grade = torch.empty(len(q), dtype=torch.int64)
+        grade[order] = torch.arange(len(q)) * _GRADES // len(q)
+        self.orders.append(order)
+        self.kind = grade if self.kind is None else self.kind * _GRADES + grade
 
     def draw(self, count: int) -> Tensor:
         """(about count, size) int64: one round. Samples in which a match came up twice are left out."""
@@ -67,21 +81,23 @@ class Sampler:
 
     def _probabilities(self) -> Tensor:
         p = self.prior
-        if self.order is not None:
-            share = _POOLS[len(self.rounds) % len(_POOLS)]
-            pool = self.order[: max(_SMALLEST_POOL, int(share * len(p)))]
+        if self.orders:
+            turn, which = divmod(len(self.rounds), len(self.orders))
+            share = _POOLS[turn % len(_POOLS)]
+            pool = self.orders[which][: max(_SMALLEST_POOL, int(share * len(p)))]
             p = torch.zeros_like(p).index_copy(0, pool, p[pool])
         if int((p > 0).sum()) < self.size:
             p = torch.ones_like(p)
         return p / p.sum()
 
     def learn(self, inliers: Tensor) -> None:
-        """Draw each kind of match (operator, grade of quality) in proportion to its share of inliers under a model."""
+        """Draw each kind of match (operator, grades of promise) in proportion to its share of inliers under a model."""
         if self.kind is None:
             return
+        inliers = inliers.cpu().double()
         total = torch.bincount(self.kind).double()
-        rate = (torch.bincount(self.kind, inliers.cpu().double()) + 1) / (total + 2)
-        self.prior = rate[self.kind] * self.weights
+        rate = (torch.bincount(self.kind, inliers) + _SHRINK * inliers.mean()) / (total + _SHRINK)
+        self.prior = rate[self.kind].clamp(min=_SLIM) * self.weights
 
     def log_missed(self, inliers: Tensor) -> float:
         """Logarithm of the probability that no sample so far consisted of inliers only."""

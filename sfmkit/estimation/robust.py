@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.losses import marginal_score
+from ._agreement import disagreement
 from ._problems import EssentialProblem, FundamentalProblem, HomographyProblem, Problem
 from ._sampling import Sampler
 from .result import Improvement, RobustModel, supported
@@ -177,7 +178,7 @@ def _search(
         return None if a is None else a.detach()[shuffle.to(a.device)]
 
     weights = shuffled(weights)
-    problem = make(shuffled(x1).double(), shuffled(x2).double(), None if weights is None else weights.double())  # type: ignore[union-attr]
+    problem: Problem = make(shuffled(x1).double(), shuffled(x2).double(), None if weights is None else weights.double())  # type: ignore[union-attr]
     sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio), shuffled(groups))
     best, iterations, history = _explore(problem, sampler, confidence, max_iterations)
     if best is None:
@@ -213,12 +214,12 @@ def _explore(
         if len(models):
             first = problem.scores(models, subset)
             shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
-            scores = problem.scores(shortlist, n)
+            scores = problem.final_scores(shortlist)
             # A sample's own model is rough: even where the best so far is ahead of it, it may lead past it.
             start = shortlist[scores.topk(min(_LOCAL_BEST, len(shortlist))).indices]
             fitted = problem.improve(start, local, _LOCAL_STEPS, _LOCAL_SCALE)
             for stage, candidates in (("sample", start[:1]), ("local optimisation", fitted)):
-                scores = problem.scores(candidates, n).nan_to_num(0.0)
+                scores = problem.final_scores(candidates).nan_to_num(0.0)
                 top = int(scores.argmax())
                 if float(scores[top]) > best_score:
                     best, best_score = candidates[top], float(scores[top])
@@ -227,4 +228,7 @@ def _explore(
             sampler.learn(inliers)
         if len(sampler.rounds) >= _LEAST_ROUNDS and sampler.log_missed(inliers) < _CAUTION * math.log1p(-confidence):
             break
+        if len(sampler.rounds) == _LEAST_ROUNDS:  # no easy case: it is worth asking the matches about each other
+            sampler.consider(disagreement(problem.x1, problem.x2, problem.threshold))
+            sampler.learn(inliers)
     return best, iterations, history
