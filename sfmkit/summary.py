@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .account import ALL
 
 if TYPE_CHECKING:
+    from .evaluation.result import Result
     from .features import OperatorInfo
 
 _PRINTED_FILES = (
@@ -91,6 +93,22 @@ def print_operators(rows: list[OperatorInfo]) -> None:
     for row in rows:
         table.add_row(row.name, row.norm, row.width, "yes" if row.available else row.reason, row.licence, row.summary)
     wide_console().print(table)
+
+
+def print_result(result: Result) -> None:
+    """The tables and notes of a benchmark."""
+    console = wide_console()
+    for shown in result.tables:
+        table = Table(title=shown.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        for column in shown.columns:
+            table.add_column(column.name, justify="right" if column.right else "left")
+        for row in shown.shown():
+            table.add_row(*(escape(cell) for cell in row))
+        console.print(table)
+        if shown.note:
+            console.print(escape(shown.note), end="\n\n")
+    for note in result.notes:
+        console.print(escape(note), end="\n\n")
 
 
 def wide_console() -> Console:

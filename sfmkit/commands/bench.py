@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
-WIDTH = 130  # of the tables, characters
+if TYPE_CHECKING:
+    from ..evaluation.result import Result
 
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -50,7 +54,7 @@ def oxford(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from ..evaluation.oxford import bench_oxford
-    from ..evaluation.oxford_tables import draw_figures, tables
+    from ..evaluation.oxford_tables import oxford_result
 
     columns = (
         TextColumn("oxford"),
@@ -65,10 +69,30 @@ def oxford(
             out, data=data, sequences=sequences, operators=operators, seeds=seeds, workers=workers,
             progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
         )  # fmt: skip
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=WIDTH)  # a file has no width to respect
-    for table in tables(rows):
-        console.print(table)
-    files = draw_figures(rows, out)
-    console.print(f"{out / 'rows.jsonl'}, {', '.join(f.name for f in files)}")
+    hand_over(out, oxford_result(rows, out, command_line()))
+
+
+def command_line() -> str:
+    """What was typed, as it can be typed again; without the folders, which differ from machine to machine."""
+    context = click.get_current_context()
+    words = context.command_path.replace("\\", "/").rsplit("/", 1)[-1].split()
+    for option in context.command.params:
+        name = option.name or ""
+        if name in ("data", "out") or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
+            continue
+        value = context.params[name]
+        if isinstance(value, Path):
+            value = value.name
+        words += [option.opts[0], ",".join(map(str, value)) if isinstance(value, tuple) else str(value)]
+    return shlex.join(words)
+
+
+def hand_over(folder: Path, result: Result) -> None:
+    """Write a benchmark's result into its folder, and print its tables and where the files are."""
+    from ..evaluation.result import write_result
+    from ..summary import print_result
+
+    files = write_result(folder, result)
+    print_result(result)
+    figures = [figure.file for figure in result.figures]
+    click.echo(f"{folder}: {', '.join([*(file.name for file in files), *figures])}")

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from ..writing import atomic_write
 from .metrics import error_auc
 from .oxford import FLOOR, MULTI, OURS, PAPERS, Row
 from .paper import OXFORD, OXFORD_FIGURES, OXFORD_TABLES
+from .result import Cell, Column, Result, ResultFigure, ResultTable
 
 SOLVED_PX = 10.0  # mean corner error below which a pair counts as solved
 SOLVED_PX_OFF = {("boat", "1-6"): 12.0}  # whose truth is itself about 10 pixels off
@@ -50,51 +49,75 @@ def sequence_rmse(rows: Sequence[Row], *, only_solved: bool) -> tuple[float, flo
     return float(np.median(means)), float(np.min(means)), float(np.max(means)), every, len(pairs)
 
 
-def tables(rows: Sequence[Row]) -> list[Table]:
-    """One table for each of the paper's Tables 2 to 5 of which there are rows, and one of what the field measures."""
-    operators = list(dict.fromkeys(r["operator"] for r in estimates(rows)))
-    operators.sort(key=lambda name: name != MULTI)
+def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
+    """Tables, and figures drawn into `folder`, of a benchmark's rows."""
+    mine = estimates(rows)
+    pairs = {(r["sequence"], r["pair"]) for r in mine}
+    operators = ", ".join(operators_of(rows)).replace(f"{MULTI}, ", "")
+    return Result(
+        name="oxford",
+        title=f"Homographies of the Oxford set: {len(pairs)} pairs, {operators}",
+        command=command,
+        tables=tuple(tables(rows)),
+        figures=tuple(draw_figures(rows, folder)),
+        seeds=tuple(sorted({r["seed"] for r in mine})),
+        notes=(
+            "The paper gives the RMSE of H in metres. It has no unit: both matrices are scaled to h33 = 1, seven of the "
+            "elements are pure numbers or per pixel, and the two translations, in pixels, outweigh them all.",
+            "The truth's floor is the error of a fit to the fused matches that agree with the truth within "
+            "3 px: an honest estimate does not get far below it.",
+        ),
+    )
+
+
+def operators_of(rows: Sequence[Row]) -> list[str]:
+    """The operators that were run, all together first."""
+    return sorted(dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != MULTI)
+
+
+def tables(rows: Sequence[Row]) -> list[ResultTable]:
+    """One table for each of the paper's Tables 2 to 5 of which there are rows, and what the field measures."""
     made = []
     for number, names in OXFORD_TABLES.items():
         here = [name for name in names if estimates(rows, sequence=name)]
-        if not here:
-            continue
-        table = Table(
-            title=f"Table {number}: mean RMSE of H (element-wise, h33 = 1; no unit)",
-            title_justify="left",
-            box=box.SIMPLE_HEAD,
-        )
-        for column in ("sequence", "operator", "ours", "solved", "difference", "paper", "its recipe", "solved"):
-            table.add_column(column, justify="left" if column in ("sequence", "operator") else "right")
-        table.add_column("matches", justify="right")
-        table.add_column("paper", justify="right")
-        for sequence in here:
-            floors = [r["rmse"] for r in rows if r["kind"] == FLOOR and r["sequence"] == sequence]
-            table.add_row(sequence, "the truth's floor", f"{np.mean(floors):.2f}")
-            for operator in operators:
-                mine = estimates(rows, sequence=sequence, operator=operator, recipe=OURS)
-                theirs = estimates(rows, sequence=sequence, operator=operator, recipe=PAPERS)
-                ours, low, high, n, of = sequence_rmse(mine, only_solved=True)
-                again, *_, m, _ = sequence_rmse(theirs, only_solved=False)
-                paper = OXFORD.get(operator, {}).get(sequence)
-                table.add_row(
-                    "", operator, f"{ours:.2f} ({low:.2f}-{high:.2f})", f"{n}/{of}",
-                    f"{ours - paper[0]:+.2f}" if paper else "", f"{paper[0]:g}" if paper else "",
-                    f"{again:.2f}", f"{m}/{of}", f"{np.mean([r['matches'] for r in theirs]):,.0f}",
-                    f"{paper[1]:,}" if paper else "",
-                )  # fmt: skip
-        made.append(table)
-    made.append(_corner_table(rows, operators))
-    made.append(_feature_table(rows))
-    return made
+        if here:
+            made.append(_paper_table(rows, number, here))
+    return [*made, _corner_table(rows), _feature_table(rows)]
 
 
-def _corner_table(rows: Sequence[Row], operators: Sequence[str]) -> Table:
-    table = Table(title="All pairs: corner error", title_justify="left", box=box.SIMPLE_HEAD)
-    for column in ("operator", "recipe", "solved in every seed", "wrong, not withheld", "AUC 1 px", "3 px", "5 px", "10 px",
-                   "s per pair"):  # fmt: skip
-        table.add_column(column, justify="left" if column in ("operator", "recipe") else "right")
-    for operator in operators:
+def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for sequence in sequences:
+        floors = [r["rmse"] for r in rows if r["kind"] == FLOOR and r["sequence"] == sequence]
+        lines.append((sequence, "the truth's floor", float(np.mean(floors)), *[None] * 8))
+        for operator in operators_of(rows):
+            mine = estimates(rows, sequence=sequence, operator=operator, recipe=OURS)
+            theirs = estimates(rows, sequence=sequence, operator=operator, recipe=PAPERS)
+            ours, low, high, n, of = sequence_rmse(mine, only_solved=True)
+            again, *_, m, _ = sequence_rmse(theirs, only_solved=False)
+            rmse, features = OXFORD.get(operator, {}).get(sequence, (None, None))
+            lines.append((
+                "", operator, ours, "" if np.isnan(ours) else f"{low:.2f}–{high:.2f}", f"{n}/{of}",
+                None if rmse is None else ours - rmse, rmse, again, f"{m}/{of}",
+                float(np.mean([r["matches"] for r in theirs])), features,
+            ))  # fmt: skip
+    return ResultTable(
+        f"table-{number}",
+        f"Table {number}: mean RMSE of H, {' and '.join(sequences)}",
+        (
+            Column("sequence"), Column("operator"), Column("ours", ".2f"), Column("over seeds", ">"), Column("solved", ">"),
+            Column("ours less paper", "+.2f"), Column("paper", "g", paper=True), Column("its recipe, rerun", ".2f"),
+            Column("solved", ">"), Column("matches", ",.0f"), Column("paper: features", ",", paper=True),
+        ),
+        tuple(lines),
+        "Ours: mean over the solved pairs, median of the seeds. Its recipe, rerun: the paper's recipe on the same matches, "
+        "mean over the pairs with an estimate, right or wrong. Solved: pairs solved in every seed.",
+    )  # fmt: skip
+
+
+def _corner_table(rows: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for operator in operators_of(rows):
         for recipe in (OURS, PAPERS):
             mine = estimates(rows, operator=operator, recipe=recipe)
             pairs = {(r["sequence"], r["pair"]) for r in mine}
@@ -103,40 +126,49 @@ def _corner_table(rows: Sequence[Row], operators: Sequence[str]) -> Table:
             errors = [np.inf if r["corner_error_px"] is None else r["corner_error_px"] for r in mine]
             auc = error_auc(errors, (1, 3, 5, 10))
             seconds = float(np.median([r["seconds"] for r in mine]))
-            table.add_row(operator, recipe, f"{every}/{len(pairs)}", f"{wrong}/{len(mine)}",
-                          *(f"{a:.3f}" for a in auc), f"{seconds:.2f}")  # fmt: skip
-    return table
+            lines.append((operator, recipe, f"{every}/{len(pairs)}", f"{wrong}/{len(mine)}", *auc, seconds))
+    columns = (
+        Column("operator"), Column("recipe"), Column("solved in every seed", ">"), Column("wrong, not withheld", ">"),
+        *(Column(f"AUC {t} px", ".3f") for t in (1, 3, 5, 10)), Column("s per pair", ".2f"),
+    )  # fmt: skip
+    note = (
+        f"A pair is solved where the corners are off by less than {SOLVED_PX:g} px in the mean ("
+        + ", ".join(f"{px:g} px on {' '.join(pair)}, whose truth is itself off" for pair, px in SOLVED_PX_OFF.items())
+        + "). AUC: area under the curve of the share of pairs within an error."
+    )
+    return ResultTable("corners", "All pairs: corner error", columns, tuple(lines), note)
 
 
-def _feature_table(rows: Sequence[Row]) -> Table:
-    table = Table(title="Operators: means over the pairs", title_justify="left", box=box.SIMPLE_HEAD)
+def _feature_table(rows: Sequence[Row]) -> ResultTable:
     shown = (1, 3, 5, 10)
-    for column in ("operator", "keypoints", "matches", "repeatability", "matching score", *(f"MMA {t} px" for t in shown),
-                   "s per pair"):  # fmt: skip
-        table.add_column(column, justify="left" if column == "operator" else "right")
     mine = [r for r in rows if r["kind"] == "features"]
+    lines: list[tuple[Cell, ...]] = []
     for operator in dict.fromkeys(r["operator"] for r in mine):
         r = [row for row in mine if row["operator"] == operator]
         mma = np.mean([row["mma"] for row in r], axis=0)
-        table.add_row(
-            operator, f"{np.mean([row['keypoints'] for row in r]):,.0f}", f"{np.mean([row['matches'] for row in r]):,.0f}",
-            f"{np.mean([row['repeatability'] for row in r]):.3f}", f"{np.mean([row['matching_score'] for row in r]):.3f}",
-            *(f"{mma[t - 1]:.3f}" for t in shown), f"{np.mean([row['seconds'] for row in r]):.2f}",
-        )  # fmt: skip
-    return table
+        means = [
+            float(np.mean([row[key] for row in r]))
+            for key in ("keypoints", "matches", "repeatability", "matching_score")
+        ]
+        lines.append((operator, *means, *(float(mma[t - 1]) for t in shown), float(np.mean([w["seconds"] for w in r]))))
+    columns = (
+        Column("operator"), Column("keypoints", ",.0f"), Column("matches", ",.0f"), Column("repeatability", ".3f"),
+        Column("matching score", ".3f"), *(Column(f"MMA {t} px", ".3f") for t in shown), Column("s per pair", ".2f"),
+    )  # fmt: skip
+    note = "MMA: mean matching accuracy, the share of the matches within that distance of the truth."
+    return ResultTable("operators", "Operators: means over the pairs", columns, tuple(lines), note)
 
 
-def draw_figures(rows: Sequence[Row], folder: Path) -> list[Path]:
+def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
     """Figures 7 to 10, pair by pair on a log axis, our recipe above and the paper's below, as PNG files."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    operators = list(dict.fromkeys(r["operator"] for r in estimates(rows)))
-    operators.sort(key=lambda name: name != MULTI)
+    operators = operators_of(rows)
     colours = dict(zip(operators, plt.rcParams["axes.prop_cycle"].by_key()["color"] * 8))
-    files = []
+    drawn = []
     for number, names in OXFORD_FIGURES.items():
         here = [name for name in names if estimates(rows, sequence=name)]
         if not here:
@@ -165,5 +197,12 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[Path]:
         with atomic_write(file) as temporary:
             figure.savefig(temporary, dpi=110, format="png")
         plt.close(figure)
-        files.append(file)
-    return files
+        drawn.append(
+            ResultFigure(
+                f"Figure {number}: RMSE of H, pair by pair, {' and '.join(here)}",
+                file.name,
+                f"Bars on a log axis, one for each operator and pair of {' and '.join(here)}; our recipe above, the "
+                "paper's below; dotted, the truth's floor; no bar where there was too little evidence",
+            )
+        )
+    return drawn

@@ -14,6 +14,7 @@ from sfmkit.commands.bench import bench
 from sfmkit.errors import InputError
 from sfmkit.evaluation.oxford import MULTI, OURS, RowStore, bench_oxford
 from sfmkit.evaluation.oxford_tables import estimates, sequence_rmse, solved, tables
+from sfmkit.evaluation.result import read_result
 
 KEYS = {"sequence", "pair", "operator", "recipe", "seed", "rmse", "corner_error_px", "matches", "inliers", "seconds"}
 
@@ -54,7 +55,7 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     assert all(r["rmse"] is None and r["inliers"] == 0 for r in ours if r["pair"] == "1-6"), "another scene"
     *_, every, of = sequence_rmse(ours, only_solved=True)
     assert (every, of) == (4, 5)
-    assert tables(rows)[0].row_count == 4
+    assert [row[1] for row in tables(rows)[0].rows] == ["the truth's floor", "multi", "orb", "fast-brief"]
 
     # An interrupted run: the last pair is half-written.
     file = tmp_path / "rows.jsonl"
@@ -99,7 +100,11 @@ def test_command_prints_tables_and_draws_figures(small_set, tmp_path):
     assert done.exit_code == 0, done.output
     assert "Table 4" in done.output
     assert "14.84" in done.output, "the paper's value for ORB on graf"
-    picture = cv2.imread(str(tmp_path / "figure09.png"))
+    result = read_result(tmp_path)
+    assert result.command.endswith("oxford --sequences graf --operators orb --seeds 1 --workers 1")
+    assert [table.name for table in result.tables] == ["table-4", "corners", "operators"]
+    (figure,) = result.figures
+    picture = cv2.imread(str(tmp_path / figure.file))
     assert picture.std() > 10
     assert json.loads((tmp_path / "rows.jsonl").read_text().splitlines()[0])["settings"]["operators"] == ["orb"]
 
