@@ -97,7 +97,7 @@ def hypotheses(x1: torch.Tensor, x2: torch.Tensor, K: torch.Tensor, runs: int) -
 
     def ours() -> None:
         problem = EssentialProblem(x1, x2, K, K, 1.0, None)
-        problem.scores(problem.solve(samples), len(x1))
+        problem.scores(problem.solve(samples))
 
     def theirs() -> None:
         ransac = kornia.geometry.RANSAC(

@@ -29,6 +29,9 @@ from ..geometry.lie import hat
 from ..geometry.losses import marginal_weight
 from ..geometry.refinement import _Matches, _matches, _minimise, _Objective
 
+Rows = Tensor | slice
+ALL = slice(None)
+
 _BLOCK = 1 << 17  # models times matches scored at once: what stays in the cache
 _SEARCH_CELLS = 96
 _POLISH = ((4.0, 4), (1.5, 20))  # thresholds, relative, and steps of the last fit
@@ -69,35 +72,34 @@ class Problem(ABC):
         """(M, 3, 3) models of (B, k) samples."""
 
     @abstractmethod
-    def squares(self, models: Tensor, upto: int) -> Tensor:
-        """(M, upto) squared distances of the first matches, over the squared threshold, float32."""
+    def squares(self, models: Tensor, rows: Rows) -> Tensor:
+        """(M, upto) squared distances of some matches, over the squared threshold, float32."""
 
     @abstractmethod
     def exact(self, model: Tensor) -> Tensor:
         """(N,) squared distances, square pixels, float64."""
 
     @abstractmethod
-    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
-        """The (M, 3, 3) models after some steps of reweighted fitting to the first matches; scale times the threshold."""
+    def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
+        """The (M, 3, 3) models after some steps of reweighted fitting to some matches; scale times the threshold."""
 
     def polish(self, model: Tensor) -> Tensor:
         """The model fitted to all matches, the threshold narrowing, so that it is not caught where it started."""
         for scale, steps in _POLISH:
-            model = self.improve(model[None], len(self.x1), steps, scale)[0]
+            model = self.improve(model[None], ALL, steps, scale)[0]
         return model
 
-    def scores(self, models: Tensor, upto: int) -> Tensor:
-        """(M,) mean score per match over the first `upto` matches."""
-        rows = max(1, _BLOCK // upto)
-        out = []
-        weights = None if self.weights32 is None else self.weights32[:upto]
-        for block in models.split(rows):
-            out.append(quick_scores(self.squares(block, upto), weights))
-        return torch.cat(out) / upto if out else torch.zeros(0, device=self.x1.device)
+    def scores(self, models: Tensor, rows: Rows = ALL) -> Tensor:
+        """(M,) mean score per match over some of them."""
+        n = len(self.x1[rows])
+        weights = None if self.weights32 is None else self.weights32[rows]
+        blocks = models.split(max(1, _BLOCK // n)) if len(models) else ()
+        out = [quick_scores(self.squares(block, rows), weights) for block in blocks]
+        return torch.cat(out) / n if out else torch.zeros(0, device=self.x1.device)
 
     def final_scores(self, models: Tensor) -> Tensor:
         """(M,) mean score per match, over all of them, by everything that the problem knows."""
-        return self.scores(models, len(self.x1))
+        return self.scores(models)
 
     def _refit(self, fit, models: Tensor, x1: Tensor, x2: Tensor, w: Tensor) -> Tensor:
         """Weighted linear fits; a model that too few matches support stays as it is."""
@@ -123,12 +125,12 @@ class _Epipolar(Problem):
     def fundamental(self, models: Tensor) -> Tensor:
         """(M, 3, 3) F of the centred coordinates."""
 
-    def squares(self, models: Tensor, upto: int) -> Tensor:
+    def squares(self, models: Tensor, rows: Rows) -> Tensor:
         F = unit_norm(self.fundamental(models)) * (self.length / self.threshold)
         F = F.float()
         gradient = torch.cat((_gram(F[:, :2]), _gram(F.mT[:, :2])), 1) * (self.threshold / self.length) ** 2
-        v = F.flatten(1) @ self.products[:, :upto]
-        return v.square_().div_((gradient @ self.quadratics[:, :upto]).clamp_(min=1e-20))
+        v = F.flatten(1) @ self.products[:, rows]
+        return v.square_().div_((gradient @ self.quadratics[:, rows]).clamp_(min=1e-20))
 
 
 def _quadratics(y: Tensor) -> Tensor:
@@ -183,7 +185,7 @@ class EssentialProblem(_Epipolar):
         R, t = (a.float() for a in one_pose(models))
         p = R.flatten(1) @ self.rows
         q, s = (t[:, None] @ R).squeeze(1) @ self.h1, t @ self.h2
-        square = self.squares(models, len(self.x1))
+        square = self.squares(models, ALL)
         score = [quick_scores(square.masked_fill(~front, 1), self.weights32) for front in self._in_front(p, q, s)]
         return torch.stack(score).amax(0) / len(self.x1)
 
@@ -196,10 +198,10 @@ class EssentialProblem(_Epipolar):
     def exact(self, model: Tensor) -> Tensor:
         return _sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2
 
-    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
+    def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
         m = self.matches
-        w = None if m.weights is None else m.weights[:upto]
-        m = _Matches(m.h1[:, :upto], m.h2[:, :upto], m.S1, m.S2, w)
+        w = None if m.weights is None else m.weights[rows]
+        m = _Matches(m.h1[:, rows], m.h2[:, rows], m.S1, m.S2, w)
         R, t, *_ = _minimise(*one_pose(models), m, _Objective("marginal", scale * self.threshold), steps)
         return hat(t) @ R
 
@@ -225,8 +227,8 @@ class FundamentalProblem(_Epipolar):
     def exact(self, model: Tensor) -> Tensor:
         return _sampson(model, self.x1, self.x2) ** 2
 
-    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
-        x1, x2 = (x[:upto].expand(len(models), -1, -1) for x in (self.x1, self.x2))
+    def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
+        x1, x2 = (x[rows].expand(len(models), -1, -1) for x in (self.x1, self.x2))
         for _ in range(steps):
             r, gradient = _sampson_parts(models, x1, x2)
             w = marginal_weight(r * r / gradient, scale * self.threshold) / gradient
@@ -249,15 +251,15 @@ class HomographyProblem(Problem):
         H = _four_point(self.x1[samples], self.x2[samples])
         return H[H.flatten(1).abs().amax(1) > 0]
 
-    def squares(self, models: Tensor, upto: int) -> Tensor:
+    def squares(self, models: Tensor, rows: Rows) -> Tensor:
         H = (self.T2 @ models @ torch.linalg.inv(self.T1)).float()
-        return _homography_sampson(H, self.y1[:upto], self.y2[:upto]) * (self.length / self.threshold) ** 2
+        return _homography_sampson(H, self.y1[rows], self.y2[rows]) * (self.length / self.threshold) ** 2
 
     def exact(self, model: Tensor) -> Tensor:
         return _homography_sampson(model, self.x1, self.x2)
 
-    def improve(self, models: Tensor, upto: int, steps: int, scale: float) -> Tensor:
-        x1, x2 = (x[:upto].expand(len(models), -1, -1) for x in (self.x1, self.x2))
+    def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
+        x1, x2 = (x[rows].expand(len(models), -1, -1) for x in (self.x1, self.x2))
         for _ in range(steps):
             w = marginal_weight(_homography_sampson(models, x1, x2), scale * self.threshold)
             models = self._refit(homography_dlt, models, x1, x2, w)

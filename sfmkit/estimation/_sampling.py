@@ -7,8 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-_POOLS = (0.1, 0.3, 1.0)  # shares of the matches, best first, that the rounds draw from in turn
-_SMALLEST_POOL = 100
+_POOLS = (100, 300, 1000, 3000, None)  # matches, best first, that the rounds draw from in turn
 _GRADES = 8  # of each measure of promise, within each group of matches
 _SHRINK = 2.0  # matches of the average kind that each kind is credited with: a few do not make a rate
 _SLIM = 1e-3  # chance of the worst kind: a wrong model must not rule matches out for good
@@ -79,12 +78,17 @@ class Sampler:
         ascending = samples.sort(dim=1).values
         return samples[(ascending[:, 1:] != ascending[:, :-1]).all(1)]
 
+    def audience(self, count: int) -> Tensor:
+        """(count,) or fewer, int64: matches drawn like those of the last round, each at most once."""
+        p = self.rounds[-1][1]
+        noise = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
+        return (p / noise).topk(min(count, int((p > 0).sum()))).indices
+
     def _probabilities(self) -> Tensor:
         p = self.prior
         if self.orders:
             turn, which = divmod(len(self.rounds), len(self.orders))
-            share = _POOLS[turn % len(_POOLS)]
-            pool = self.orders[which][: max(_SMALLEST_POOL, int(share * len(p)))]
+            pool = self.orders[which][: _POOLS[turn % len(_POOLS)]]
             p = torch.zeros_like(p).index_copy(0, pool, p[pool])
         if int((p > 0).sum()) < self.size:
             p = torch.ones_like(p)

@@ -158,7 +158,7 @@ def _candidates(x1: Tensor, x2: Tensor, threshold: float, samples: int, generato
     kept, scores = [], []
     for _ in range(0, samples, _BATCH):
         models = problem.solve(_draw(len(x1), _BATCH, generator))
-        score = problem.scores(models, len(x1))
+        score = problem.scores(models)
         top = score.topk(min(_CANDIDATES, len(score))).indices
         kept.append(models[top])
         scores.append(score[top])

@@ -21,7 +21,7 @@ from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.losses import marginal_score
 from ._agreement import disagreement
-from ._problems import EssentialProblem, FundamentalProblem, HomographyProblem, Problem
+from ._problems import ALL, EssentialProblem, FundamentalProblem, HomographyProblem, Problem
 from ._sampling import Sampler
 from .result import Improvement, RobustModel, supported
 
@@ -202,7 +202,7 @@ def _explore(
 ) -> tuple[Tensor | None, int, list[Improvement]]:
     """The best model of the search, the samples it took, and how the best improved."""
     n = len(problem.x1)
-    subset, local = min(_SUBSET, n), min(_LOCAL, n)
+    local = slice(_LOCAL)  # they are in random order
     best: Tensor | None = None
     best_score, iterations = 0.0, 0
     inliers = torch.zeros(n, dtype=torch.bool, device=problem.x1.device)
@@ -212,7 +212,8 @@ def _explore(
         models = problem.solve(sampler.draw(count).to(problem.x1.device))
         iterations += count
         if len(models):
-            first = problem.scores(models, subset)
+            # Tried first on matches as promising as those it came from: among all, few right ones drown in the noise.
+            first = problem.scores(models, sampler.audience(_SUBSET).to(problem.x1.device))
             shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
             scores = problem.final_scores(shortlist)
             # A sample's own model is rough: even where the best so far is ahead of it, it may lead past it.
@@ -223,7 +224,7 @@ def _explore(
                 top = int(scores.argmax())
                 if float(scores[top]) > best_score:
                     best, best_score = candidates[top], float(scores[top])
-                    inliers = problem.squares(candidates[top : top + 1], n)[0] < 1
+                    inliers = problem.squares(candidates[top : top + 1], ALL)[0] < 1
                     history.append(Improvement(iterations, best, int(inliers.sum()), best_score, stage))
             sampler.learn(inliers)
         if len(sampler.rounds) >= _LEAST_ROUNDS and sampler.log_missed(inliers) < _CAUTION * math.log1p(-confidence):
