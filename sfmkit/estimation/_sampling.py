@@ -69,9 +69,10 @@ class Sampler:
         """(about count, size) int64: one round. Samples in which a match came up twice are left out."""
         p = self._probabilities()
         self.rounds.append((count, p))
-        if len(p) <= 512 or int((p > 0).sum()) <= 512:  # exact draws without replacement: Gumbel's top k
-            noise = torch.empty(count, len(p), dtype=torch.float64).exponential_(generator=self.generator)
-            return (p.log() - noise.log()).topk(self.size, dim=1).indices
+        drawn = p.nonzero().squeeze(1)
+        if len(drawn) <= 512:  # exact draws without replacement: the shortest of exponential waiting times
+            wait = torch.empty(count, len(drawn), dtype=torch.float64).exponential_(generator=self.generator)
+            return drawn[(p[drawn] / wait).topk(self.size, dim=1).indices]
         cumulative = p.cumsum(0)
         u = torch.rand(count, self.size, dtype=torch.float64, generator=self.generator) * cumulative[-1]
         samples = torch.searchsorted(cumulative, u, right=True).clamp(max=len(p) - 1)
@@ -81,8 +82,8 @@ class Sampler:
     def audience(self, count: int) -> Tensor:
         """(count,) or fewer, int64: matches drawn like those of the last round, each at most once."""
         p = self.rounds[-1][1]
-        noise = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
-        return (p / noise).topk(min(count, int((p > 0).sum()))).indices
+        wait = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
+        return (p / wait).topk(min(count, int((p > 0).sum()))).indices
 
     def _probabilities(self) -> Tensor:
         p = self.prior
