@@ -1,5 +1,8 @@
 """How each stage is run: one frozen dataclass a stage, the defaults being our best, ``PAPER`` the paper's values.
 
+``DENSE`` is for as many points as the photographs give at the default's precision: keypoints of half the contrast, twice as
+many of them, and a ratio test, for among so many there are more that resemble each other.
+
 The paper (Dippold & Tsai, *Two-View Structure-from-Motion with Multiple Feature Detector Operators*) leaves some
 values unsaid; ``PAPER`` is the reading whose counts come closest to its Table 6 (see docs/results.md).
 """
@@ -13,7 +16,7 @@ from typing import Any, Literal
 
 from .errors import InputError
 
-Preset = Literal["default", "paper"]
+Preset = Literal["default", "paper", "dense"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,8 @@ class DetectOptions:
     """Stage 1.
 
     Attributes:
-        preset: which settings of an operator are used where `overrides` does not say: ours or the paper's.
+        preset: which settings of an operator are used where `overrides` does not say: ours, the paper's, or ours with
+            half the least contrast.
         budget: at most this many keypoints an operator and image, spread evenly; None for all. Matching costs the
             product of both images' counts: FAST alone finds 180,000 corners in a photograph of roofs.
         max_size: longest side in pixels at which features are searched; None for full size.
@@ -120,4 +124,5 @@ PAPER = Options(
     ),
     triangulate=TriangulateOptions(method="dlt"),
 )
-PRESETS: Mapping[str, Options] = MappingProxyType({"default": DEFAULT, "paper": PAPER})
+DENSE = Options(name="dense", detect=DetectOptions(preset="dense", budget=80_000), match=MatchOptions(max_ratio=0.9))
+PRESETS: Mapping[str, Options] = MappingProxyType({o.name: o for o in (DEFAULT, DENSE, PAPER)})

@@ -35,7 +35,7 @@ def detect(
     budget: int | None = None,
     mask: np.ndarray | None = None,
     max_size: int | None = None,
-    preset: Literal["default", "paper"] = "default",
+    preset: Literal["default", "paper", "dense"] = "default",
     device: Any = None,
     **options: Any,
 ) -> Features:
@@ -49,7 +49,8 @@ def detect(
             (``nfeatures``, relative thresholds) see the whole image.
         max_size: the longest side, in pixels, at which to search; a larger image is reduced first. Positions and
             scales are those of the full image.
-        preset: which settings hold where `options` does not say: ours, or the paper's.
+        preset: which settings hold where `options` does not say: ours, the paper's, or ours for as many keypoints as
+            can be matched (``dense``: half the least contrast).
         device: where operators in torch run (SURF, XFeat); the others ignore it.
         options: of the operator; ``OPERATORS[name].options`` lists them with their defaults. Where detector and
             descriptor share a name, it is the detector's. ``subpixel`` refines whole-pixel corners,
@@ -190,15 +191,15 @@ def _hellinger(descriptors: np.ndarray) -> np.ndarray:
 
 def _settings(spec: OperatorSpec, preset: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """All options of the operator: defaults, then the preset's, then the caller's, checked."""
-    if preset not in ("default", "paper"):
-        raise InputError(f"preset must be 'default' or 'paper', not {preset!r}")
+    replaced = {"default": {}, "paper": spec.paper, "dense": spec.dense}
+    if preset not in replaced:
+        raise InputError(f"preset must be one of {', '.join(replaced)}, not {preset!r}")
     for name, value in options.items():
         if name not in spec.options:
             valid = ", ".join(f"{k}={v!r}" for k, v in spec.options.items())
             raise InputError(f"operator '{spec.name}' has no option '{name}'. It has: {valid}")
         _check_option(spec, name, value)
-    paper = spec.paper if preset == "paper" else {}
-    merged = {**spec.options, **paper, **options}
+    merged = {**spec.options, **replaced[preset], **options}
     return {name: type(spec.options[name])(value) for name, value in merged.items()}
 
 

@@ -87,7 +87,7 @@ class OperatorSpec:
         norm: ``l2`` or ``hamming``.
         width: descriptor length in floats or bits, at default options.
         options: every option with our default.
-        paper: what replaces the defaults in the preset ``paper``.
+        paper, dense: what replaces the defaults in the presets of these names.
         licence: of the implementation, and patents (facts only).
         requires: the extra that has to be installed; None for none.
         summary: one line.
@@ -100,6 +100,7 @@ class OperatorSpec:
     width: int
     options: Options = field(default_factory=dict)
     paper: Options = field(default_factory=dict)
+    dense: Options = field(default_factory=dict)
     licence: str = OPENCV
     requires: str | None = None
     summary: str = ""
@@ -190,6 +191,23 @@ DETECTORS: Mapping[str, DetectorSpec] = {
     "xfeat": DetectorSpec(None, {"top_k": 4096, "detection_threshold": 0.05}, licence="Apache-2.0 (code and weights)"),
 }
 
+# The options that say how faint a keypoint may be, and how many there are: the preset ``dense`` halves and doubles them.
+FAINTEST: Mapping[str, str] = {
+    "surf": "hessian_threshold",
+    "orb": "fastThreshold",
+    "fast": "threshold",
+    "agast": "threshold",
+    "harris": "qualityLevel",
+    "gftt": "qualityLevel",
+    "sift": "contrastThreshold",
+    "akaze": "threshold",
+    "kaze": "threshold",
+    "brisk": "thresh",
+    "star": "responseThreshold",
+    "xfeat": "detection_threshold",
+}
+MOST: Mapping[str, str] = {"orb": "nfeatures", "harris": "maxCorners", "gftt": "maxCorners", "xfeat": "top_k"}
+
 _LEVELS = "it reads scale levels that only its own detector computes"
 
 DESCRIPTORS: Mapping[str, DescriptorSpec] = {
@@ -254,6 +272,10 @@ def _pair(detector: str, descriptor: str, name: str, summary: str, requires: str
     native = descriptor.removeprefix("root") == detector
     options = dict(where.options) if native else {**what.options, **where.options}
     paper = {}
+    dense = {MOST[detector]: 2 * options[MOST[detector]]} if detector in MOST else {}
+    if detector in FAINTEST:
+        least = options[FAINTEST[detector]]
+        dense[FAINTEST[detector]] = (least + 1) // 2 if isinstance(least, int) else least / 2
     if where.integer:
         options["subpixel"], paper["subpixel"] = True, False
     if not (where.oriented or what.orients or native):
@@ -262,7 +284,7 @@ def _pair(detector: str, descriptor: str, name: str, summary: str, requires: str
     if len(licences) > 1:
         licences.pop(OPENCV, None)
     return OperatorSpec(
-        name, detector, descriptor, what.norm, what.width, options, paper, "; ".join(licences), requires, summary
+        name, detector, descriptor, what.norm, what.width, options, paper, dense, "; ".join(licences), requires, summary
     )  # fmt: skip
 
 

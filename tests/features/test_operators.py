@@ -140,6 +140,16 @@ def test_the_paper_settings():
     assert OPERATORS["fast-brief"].paper == {"subpixel": False}
 
 
+def test_dense_halves_the_least_contrast_and_finds_more(image):
+    assert OPERATORS["surf"].dense == {"hessian_threshold": 15.0}
+    assert OPERATORS["orb"].dense == {"nfeatures": 70_000, "fastThreshold": 4}
+    assert OPERATORS["fast-brief"].dense == {"threshold": 5}
+    for name in ("surf", "orb", "fast-brief", "sift", "brisk"):
+        assert len(detect(image, name, preset="dense")) > len(detect(image, name)), name
+    with pytest.raises(InputError, match="default, paper, dense"):
+        detect(image, "orb", preset="sparse")
+
+
 def test_rootsift_is_the_square_root_of_sift_and_its_product_is_hellingers(image):
     sift, root = detect(image, "sift"), detect(image, "rootsift")
     np.testing.assert_array_equal(sift.keypoints, root.keypoints)
