@@ -6,16 +6,14 @@ Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on where 
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -36,14 +34,12 @@ from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs
 from ..registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches
 from .metrics import corner_error, homography_rmse, match_errors, matching_score, mean_matching_accuracy, repeatability
+from .rows import Progress, Row, RowStore
 
 MULTI = "multi"
 FLOOR = "floor"
 OURS, PAPERS = "ours", "paper"
 FLOOR_PX = 3.0
-
-Row = dict[str, Any]
-Progress = Callable[[int, int, str], None]  # pairs done, pairs in all, what was done last
 
 
 def bench_oxford(
@@ -116,43 +112,6 @@ def _keep(
     rows += new
     if progress is not None:
         progress(done, total, f"{pair.sequence} {pair.name}")
-
-
-class RowStore:
-    """Rows on disk, one JSON object a line; the first line holds the settings that they were made with."""
-
-    def __init__(self, path: Path, settings: dict[str, Any]):
-        self.path, self.settings = path, settings
-
-    def read(self) -> list[Row]:
-        """The rows so far; an incomplete last line, from an interrupted run, is cut off.
-
-        Raises:
-            InputError: the file was made with other settings, or is no such file.
-        """
-        if not self.path.exists():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.write_text(json.dumps({"settings": self.settings}) + "\n")
-            return []
-        text = self.path.read_text()
-        if not text.endswith("\n"):
-            text = text[: text.rfind("\n") + 1]
-            self.path.write_text(text)
-        try:
-            first, *rows = [json.loads(line) for line in text.splitlines()] or [{}]
-        except json.JSONDecodeError as error:
-            raise InputError(f"{self.path} is damaged ({error}); remove it to begin again") from None
-        if first.get("settings") != self.settings:
-            raise InputError(
-                f"{self.path} was made with {first.get('settings')}, not {self.settings}; choose another --out, or "
-                "remove it to begin again"
-            )
-        return rows
-
-    def append(self, rows: list[Row]) -> None:
-        """All rows of a pair in one write: a pair is there whole or, after a crash, not counted."""
-        with self.path.open("a") as file:
-            file.write("".join(json.dumps(row) + "\n" for row in rows))
 
 
 def _one_thread() -> None:

@@ -9,9 +9,10 @@ import numpy as np
 
 from ..writing import atomic_write
 from .metrics import error_auc
-from .oxford import FLOOR, MULTI, OURS, PAPERS, Row
+from .oxford import FLOOR, MULTI, OURS, PAPERS
 from .paper import OXFORD, OXFORD_FIGURES, OXFORD_TABLES
 from .result import Cell, Column, Result, ResultFigure, ResultTable
+from .rows import Row
 
 SOLVED_PX = 10.0  # mean corner error below which a pair counts as solved
 SOLVED_PX_OFF = {("boat", "1-6"): 12.0}  # whose truth is itself about 10 pixels off

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 
 from sfmkit.commands.bench import bench
 from sfmkit.errors import InputError
-from sfmkit.evaluation.oxford import MULTI, OURS, RowStore, bench_oxford
+from sfmkit.evaluation.oxford import MULTI, OURS, bench_oxford
 from sfmkit.evaluation.oxford_tables import estimates, sequence_rmse, solved, tables
 from sfmkit.evaluation.result import read_result
+from sfmkit.evaluation.rows import RowStore
 
 KEYS = {"sequence", "pair", "operator", "recipe", "seed", "rmse", "corner_error_px", "matches", "inliers", "seconds"}
 
