@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,25 +24,34 @@ def bench() -> None:
     """Rerun the paper's experiments and print its tables with our values beside its own."""
 
 
-@bench.command()
-@click.option("--sequences", callback=_names, metavar="A,B", help="Some of the eight sequences; default: all.")
-@click.option(
+OPERATORS = click.option(
     "--operators",
     default="surf,orb,fast-brief",
     show_default=True,
     callback=_names,
     help="Each runs alone, and all together.",
 )
-@click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
-@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("out/oxford"), show_default=True, help="Folder to write."
-)
-@click.option(
+DATA = click.option(
     "--data",
     type=click.Path(path_type=Path),
     help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
 )
+
+
+def OUT(name: str) -> Callable:
+    """The option --out with its default."""
+    return click.option(
+        "--out", type=click.Path(path_type=Path), default=Path("out") / name, show_default=True, help="Folder to write."
+    )
+
+
+@bench.command()
+@click.option("--sequences", callback=_names, metavar="A,B", help="Some of the eight sequences; default: all.")
+@OPERATORS
+@click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core.")
+@OUT("oxford")
+@DATA
 def oxford(
     sequences: tuple[str, ...] | None,
     operators: tuple[str, ...],
@@ -50,26 +61,47 @@ def oxford(
     data: Path | None,
 ) -> None:
     """Tables 2 to 5 and Figures 7 to 10: homographies of the Oxford set. Goes on where an earlier run stopped."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from ..evaluation.oxford import bench_oxford
     from ..evaluation.oxford_tables import oxford_result
 
-    columns = (
-        TextColumn("oxford"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
+    with parts_bar("oxford") as report:
         rows = bench_oxford(
-            out, data=data, sequences=sequences, operators=operators, seeds=seeds, workers=workers,
-            progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
-        )  # fmt: skip
+            out, data=data, sequences=sequences, operators=operators, seeds=seeds, workers=workers, progress=report
+        )
     hand_over(out, oxford_result(rows, out, command_line()))
+
+
+@bench.command()
+@click.option("--pairs", callback=_names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours.")
+@OPERATORS
+@click.option(
+    "--presets", default="paper,default,dense", show_default=True, callback=_names, help="Recipes to compare."
+)
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
+@click.option(
+    "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
+)
+@OUT("fountain")
+@DATA
+def fountain(
+    pairs: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    presets: tuple[str, ...],
+    seeds: int,
+    max_size: int | None,
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Table 6 and Figure 11: features through the process to the cloud, against true cameras and rendered surfaces."""
+    from ..evaluation.fountain import bench_fountain
+    from ..evaluation.fountain_tables import fountain_result
+
+    with parts_bar("fountain") as report:
+        rows = bench_fountain(
+            out, data=data, pairs=pairs, operators=operators, presets=presets, seeds=seeds, max_size=max_size,
+            progress=report,
+        )  # fmt: skip
+    hand_over(out, fountain_result(rows, out, command_line()))
 
 
 def command_line() -> str:
@@ -85,6 +117,24 @@ def command_line() -> str:
             value = value.name
         words += [option.opts[0], ",".join(map(str, value)) if isinstance(value, tuple) else str(value)]
     return shlex.join(words)
+
+
+@contextmanager
+def parts_bar(bench: str) -> Iterator[Callable[[int, int, str], None]]:
+    """A progress bar on standard error: a function of parts done, parts in all, and what is being or was done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn(bench),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
 
 
 def hand_over(folder: Path, result: Result) -> None:

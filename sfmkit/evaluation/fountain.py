@@ -1,0 +1,267 @@
+"""The fountain benchmark: what becomes of the features on the way to the cloud, and how right pose and cloud are.
+
+Neighbouring photographs of EPFL's fountain-P11 with true cameras, and rendered scenes whose depth is known. Every operator
+is searched and matched once a pair and preset; alone and together they are estimated with every seed.
+
+What the paper's Table 6 calls initial is read as the matches that are handed to the geometry: its text says "detected
+features" in one place and "from matching to the final point cloud" in another, and only the second fits its numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import __version__
+from ..account import make_account
+from ..datasets.pairs import Pair
+from ..datasets.strecha import strecha
+from ..datasets.synthetic import SyntheticPair, render
+from ..errors import InputError
+from ..estimation import adjust, estimate_two_view
+from ..features.tables import operator_spec
+from ..fusion import fuse
+from ..geometry.fundamental import fundamental_from_pose, sampson_distance
+from ..images import Image, read_image
+from ..options import PRESETS, Options
+from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs, Stopwatch, detect_all, make_cloud, match_all, pose_errors
+from ..types import Camera, Correspondences, Matches, PointCloud, TwoView
+from .oxford import MULTI
+from .rows import Progress, Row, RowStore
+
+SEQUENCE = "fountain-P11"
+RIGHT_PX = 1.0  # Sampson distance from the true epipolar geometry below which a match counts as right
+SCENES = ("courtyard", "wide", "dish")
+SCENE_SIZE = (1024, 768)
+CLOSE = 0.01  # of the depth: a point of a cloud that close to the surface counts as right
+
+
+def bench_fountain(
+    out: str | os.PathLike,
+    *,
+    data: str | os.PathLike | None = None,
+    pairs: Iterable[str] | None = None,
+    operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    presets: Sequence[str] = tuple(PRESETS),
+    seeds: int = 3,
+    max_size: int | None = None,
+    scenes: Sequence[str] = SCENES,
+    scene_size: tuple[int, int] = SCENE_SIZE,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Run what is missing of the benchmark and return all of its rows.
+
+    Args:
+        out: folder for ``rows.jsonl`` and the pictures of the first pair's clouds.
+        data: where the data set lies, see :func:`sfmkit.datasets.strecha.strecha`.
+        pairs: names such as ``0000-0001``; None for all neighbours.
+        operators: at least one; each runs alone, and all together as ``multi``.
+        presets: names of :data:`sfmkit.options.PRESETS`.
+        seeds: each estimate is made with seeds 0 ... seeds - 1.
+        max_size: longest side in pixels at which features are searched; None for full size.
+        scenes, scene_size: the rendered scenes, and how large they are rendered.
+
+    Returns:
+        Rows of two kinds: ``cloud`` (pair, preset, operator or ``multi``, merged, seed -> keypoints, matches, initial,
+        points, loss, precision, kept, rotation_deg, translation_deg, seconds) and ``scene`` (scene, preset, seed -> points,
+        median_error, p90_error (shares of the depth), close).
+
+    Raises:
+        InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with other settings.
+    """
+    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    if not operators:
+        raise InputError("name at least one operator")
+    if seeds < 1:
+        raise InputError(f"seeds must be at least 1, not {seeds}")
+    for name in presets:
+        if name not in PRESETS:
+            raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
+    chosen = choose_pairs(list(strecha(data, [SEQUENCE])), pairs)
+    settings = {"version": __version__, "operators": list(operators), "seeds": seeds, "max_size": max_size}
+    store = RowStore(Path(out) / "rows.jsonl", settings | {"scene_size": list(scene_size)})
+    rows = store.read()
+    have = {(r["kind"], r.get("pair", r.get("scene")), r["preset"]) for r in rows}
+    parts: list[tuple[str, Pair | str, str]] = [("cloud", pair, preset) for pair in chosen for preset in presets]
+    parts += [("scene", scene, preset) for scene in scenes for preset in presets]
+    for done, (kind, what, preset) in enumerate(parts):
+        label = what.name if isinstance(what, Pair) else what
+        picture = Path(out) / cloud_picture(preset) if what is chosen[0] else None
+        if progress is not None:
+            progress(done, len(parts), f"{label}, {preset}")
+        if (kind, label, preset) in have and (picture is None or picture.exists()):
+            continue
+        options = PRESETS[preset]
+        options = replace(options, detect=replace(options.detect, max_size=max_size))
+        if isinstance(what, Pair):
+            new = _pair_rows(what, operators, options, seeds, picture)
+        else:
+            new = _scene_rows(what, operators, PRESETS[preset], seeds, scene_size)
+        if (kind, label, preset) not in have:
+            store.append(new)
+            rows += new
+    if progress is not None:
+        progress(len(parts), len(parts), "")
+    wanted = {("cloud", p.name) for p in chosen} | {("scene", s) for s in scenes}
+    return [r for r in rows if (r["kind"], r.get("pair", r.get("scene"))) in wanted and r["preset"] in presets]
+
+
+def choose_pairs(there: list[Pair], names: Iterable[str] | None) -> list[Pair]:
+    """The pairs of these names, in the order of the data set.
+
+    Raises:
+        InputError: a name that is not there.
+    """
+    if names is None:
+        return there
+    names = tuple(dict.fromkeys(names))
+    known = [pair.name for pair in there]
+    for name in names:
+        if name not in known:
+            raise InputError(f"there is no pair '{name}' of neighbours; there are {', '.join(known)}")
+    if not names:
+        raise InputError("name at least one pair")
+    return [pair for pair in there if pair.name in names]
+
+
+def cloud_picture(preset: str) -> str:
+    """Name of the picture of the first pair's clouds."""
+    return f"clouds-{preset}.png"
+
+
+def true_fundamental(pair: Pair) -> Tensor:
+    """(3, 3) fundamental matrix of a pair's true cameras, pixels."""
+    assert pair.R is not None
+    assert pair.t is not None
+    assert pair.camera1 is not None
+    assert pair.camera2 is not None
+    R, t = (torch.tensor(np.array(a)) for a in (pair.R, pair.t))
+    return fundamental_from_pose(R, t / t.norm(), pair.camera1.tensors()[0], pair.camera2.tensors()[0])
+
+
+def right_matches(F_true: Tensor, corr: Correspondences) -> Tensor:
+    """(N,) bool: correspondences within 1 px of the true epipolar geometry (Sampson distance)."""
+    return sampson_distance(F_true, corr.x1, corr.x2).abs() < RIGHT_PX
+
+
+def estimate_cloud(
+    corr: Correspondences, cameras: tuple[Camera, Camera], image1: Image, options: Options, seed: int
+) -> tuple[TwoView, PointCloud | None]:
+    """The stages after fusion, as :func:`sfmkit.pipeline.reconstruct` has them."""
+    view = estimate_two_view(corr, *cameras, options.estimate, seed=seed)
+    adjustment = adjust(corr, view) if options.estimate.refine else None
+    view = view if adjustment is None else adjustment.view
+    return view, make_cloud(corr, view, image1, options.triangulate, adjustment)
+
+
+def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: int, picture: Path | None) -> list[Row]:
+    began = time.perf_counter()
+    images = (read_image(pair.image1), read_image(pair.image2))
+    watch = Stopwatch()
+    features, _ = detect_all(images, operators, options.detect, watch)
+    matches = match_all(features, options.match, watch)
+    before = time.perf_counter() - began
+    F_true = true_fundamental(pair)
+    assert pair.camera1 is not None
+    assert pair.camera2 is not None
+    rows, clouds = [], {}
+    for name, members, radius in _sets(operators, options):
+        corr = _fused(features, matches, members, radius)
+        right = right_matches(F_true, corr)
+        for seed in range(seeds):
+            began = time.perf_counter()
+            view, cloud = estimate_cloud(corr, (pair.camera1, pair.camera2), images[0], options, seed)
+            seconds = before + time.perf_counter() - began
+            account = make_account(corr, view.inliers, cloud)
+            line = account[MULTI]
+            in_cloud = 0 if cloud is None else int(right[cloud.match].sum())
+            rows.append(
+                {
+                    "kind": "cloud", "pair": pair.name, "preset": options.name, "operator": name,
+                    "merged": radius is not None, "seed": seed, "keypoints": list(line.keypoints),
+                    "matches": line.matches, "initial": line.initial, "points": line.points, "loss": line.loss,
+                    "precision": in_cloud / line.points if line.points else None,
+                    "kept": in_cloud / int(right.sum()) if bool(right.any()) else None,
+                    "members": {o: [account[o].initial, account[o].points] for o in members},
+                    **_finite(pose_errors(view, pair.R, pair.t)),  # type: ignore[arg-type]
+                    "seconds": seconds if name == MULTI or len(operators) == 1 else None,
+                }
+            )  # fmt: skip
+            if seed == 0 and cloud is not None and (radius is not None or options.fuse.merge_radius is None):
+                clouds[name] = cloud
+    if picture is not None:
+        from .fountain_figures import draw_clouds
+
+        draw_clouds(picture, clouds, pair.camera1)
+    return rows
+
+
+def _sets(operators: Sequence[str], options: Options) -> list[tuple[str, tuple[str, ...], float | None]]:
+    """What is estimated: each operator alone, all together, and all without merging, as the paper counts."""
+    radius = options.fuse.merge_radius
+    sets: list[tuple[str, tuple[str, ...], float | None]] = [(name, (name,), radius) for name in operators]
+    if len(operators) > 1:
+        sets.append((MULTI, tuple(operators), radius))
+        if radius is not None:
+            sets.append((MULTI, tuple(operators), None))
+    return sets
+
+
+def _fused(
+    features: FeaturePairs, matches: dict[str, Matches], members: Sequence[str], radius: float | None
+) -> Correspondences:
+    return fuse({name: (*features[name], matches[name]) for name in members}, merge_radius=radius)
+
+
+def _scene_rows(scene: str, operators: Sequence[str], options: Options, seeds: int, size: tuple[int, int]) -> list[Row]:
+    """How far the cloud of a rendered scene lies from its surfaces, at the true length of the baseline."""
+    made = _rendered(scene, size)
+    images = (read_image(made.image1), read_image(made.image2))
+    features, _ = detect_all(images, operators, options.detect)
+    corr = _fused(features, match_all(features, options.match), operators, options.fuse.merge_radius)
+    rows = []
+    for seed in range(seeds):
+        view, cloud = estimate_cloud(corr, (made.camera1, made.camera2), images[0], options, seed)
+        row: Row = {"kind": "scene", "scene": scene, "preset": options.name, "seed": seed, "initial": len(corr)}
+        row |= {"points": 0, "median_error": None, "p90_error": None, "close": None}
+        if cloud is not None and len(cloud):
+            x1 = corr.x1[cloud.match].numpy()
+            error = surface_error(cloud.xyz.numpy() * np.linalg.norm(made.t), x1, made.depth_at(1, x1), made.camera1)
+            median, p90 = np.quantile(error, (0.5, 0.9))
+            row |= {
+                "points": len(cloud), "median_error": float(median), "p90_error": _number(float(p90)),
+                "close": float((error < CLOSE).mean()),
+            }  # fmt: skip
+        rows.append(row | _finite(pose_errors(view, made.R, made.t)))
+    return rows
+
+
+@lru_cache(maxsize=1)
+def _rendered(scene: str, size: tuple[int, int]) -> SyntheticPair:
+    """A scene, which every preset sees."""
+    return render(scene, size_wh=size)
+
+
+def surface_error(X: np.ndarray, x1: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """(N,) distance of points X (N, 3) from what the pixels x1 (N, 2) show at `depth` (N,), over that depth; inf for sky."""
+    rays = np.column_stack([x1, np.ones(len(x1))]) @ np.linalg.inv(camera.K).T
+    sky = ~np.isfinite(depth)
+    truth = np.where(sky, 1.0, depth)[:, None] * rays
+    return np.where(sky, np.inf, np.linalg.norm(X - truth, axis=1) / np.where(sky, 1.0, depth))
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _finite(errors: dict[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in errors.items()}
