@@ -289,6 +289,25 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
+class Improvement:
+    """A model that was the best so far.
+
+    Attributes:
+        iteration: minimal samples tried by then.
+        model: (3, 3).
+        inliers: how many of the matches it was scored on agree with it.
+        score: its mean score per match it was scored on, in [0, 1].
+        stage: ``sample``, ``local optimisation`` or ``refinement``.
+    """
+
+    iteration: int
+    model: Tensor
+    inliers: int
+    score: float
+    stage: str
+
+
+@dataclass(frozen=True, eq=False)
 class TwoView:
     """The geometry of two views: how camera 2 stands to camera 1, ``X2 = R X1 + t``.
 
@@ -305,6 +324,8 @@ class TwoView:
             radians), None where not computed.
         sigma_deg: standard deviation of rotation and translation direction, degrees, from `pose_covariance`.
         alternatives: other poses (R, t) that explain the matches as well: a plane seen twice usually allows two.
+        history: how the robust search improved, oldest first; empty where the back end does not say. Its models are E,
+            in normalised coordinates, or F, in pixels, whichever was estimated.
     """
 
     camera1: Camera
@@ -321,6 +342,7 @@ class TwoView:
     pose_covariance: Tensor | None = None
     sigma_deg: tuple[float, float] | None = None
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
+    history: tuple[Improvement, ...] = ()
 
     def __post_init__(self) -> None:
         _check_tensor("TwoView", "inliers", self.inliers, (None,), torch.bool)

@@ -11,7 +11,17 @@ from sfmkit.geometry.fundamental import fundamental_from_essential
 from sfmkit.images import read_image
 from sfmkit.options import DEFAULT
 from sfmkit.pipeline import Reconstruction
-from sfmkit.types import Camera, Correspondences, Features, Matches, OperatorCounts, PointCloud, TwoView, Verdict
+from sfmkit.types import (
+    Camera,
+    Correspondences,
+    Features,
+    Improvement,
+    Matches,
+    OperatorCounts,
+    PointCloud,
+    TwoView,
+    Verdict,
+)
 
 OPERATORS = ("surf", "orb", "fast-brief")
 SIZE = (320, 240)
@@ -113,6 +123,7 @@ def make_result(
         F=fundamental_from_essential(E, K, K),
         H=torch.eye(3, dtype=torch.float64),
         sigma_deg=(0.01, 0.02),
+        history=tuple(Improvement(64 * i, E, 100 * i + 50, 0.1 * i, "sample") for i in range(3)),
     )
     ray = torch.tensor(X / np.linalg.norm(X, axis=1, keepdims=True))
     covariance = 1e-4 * torch.eye(3, dtype=torch.float64) + 1e-2 * ray[:, :, None] * ray[:, None, :]

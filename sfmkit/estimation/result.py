@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..types import Improvement
+
 
 @dataclass(frozen=True, eq=False)
 class RobustModel:
@@ -30,25 +32,6 @@ class RobustModel:
     def failed(cls, n: int, iterations: int = 0, device: torch.device | str = "cpu") -> RobustModel:
         """No model for n matches."""
         return cls(None, torch.zeros(n, dtype=torch.bool, device=device), 0.0, iterations)
-
-
-@dataclass(frozen=True, eq=False)
-class Improvement:
-    """A model that was the best so far.
-
-    Attributes:
-        iteration: minimal samples tried by then.
-        model: (3, 3).
-        inliers: how many of the matches it was scored on agree with it.
-        score: its mean score per match it was scored on, in [0, 1].
-        stage: ``sample``, ``local optimisation`` or ``refinement``.
-    """
-
-    iteration: int
-    model: Tensor
-    inliers: int
-    score: float
-    stage: str
 
 
 def supported(found: RobustModel, x1: Tensor, x2: Tensor, least: int, threshold_px: float) -> RobustModel:

@@ -20,10 +20,11 @@ from ..errors import InputError
 from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.losses import marginal_score
+from ..types import Improvement
 from ._agreement import disagreement
 from ._problems import ALL, EssentialProblem, FundamentalProblem, HomographyProblem, Problem
 from ._sampling import Sampler
-from .result import Improvement, RobustModel, supported
+from .result import RobustModel, supported
 
 METHODS = ("magsac",)
 

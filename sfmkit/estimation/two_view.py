@@ -22,7 +22,7 @@ from ..geometry.homography import decompose_homography
 from ..geometry.pose import cheirality, choose_pose, rotation_error, translation_error
 from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
-from ..types import Camera, Correspondences, TwoView, Verdict
+from ..types import Camera, Correspondences, Improvement, TwoView, Verdict
 from . import opencv
 from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, judge
@@ -77,9 +77,10 @@ def estimate_two_view(
     (K1, _), (K2, _) = camera1.tensors(), camera2.tensors()
     n = len(corr)
     nothing = torch.zeros(n, dtype=torch.bool)
+    history: tuple[Improvement, ...] = ()
 
     def too_little(reason: str, evidence: dict[str, float]) -> TwoView:
-        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence)
+        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, history=history)
 
     if n < MIN_MATCHES:
         return too_little(
@@ -90,6 +91,7 @@ def estimate_two_view(
 
     # Copies of a few matches must not pass for many: chance is judged by their number.
     fit = supported(robust_fit(x1, x2, K1, K2, corr, options, seed), x1, x2, MIN_MATCHES, options.threshold_px)
+    history = fit.history
     if fit.model is None:
         return too_little(
             f"No epipolar geometry was found that {MIN_MATCHES} different matches agree on, off one line.",
@@ -121,7 +123,7 @@ def estimate_two_view(
     if judgement.rotation is not None:
         return TwoView(
             camera1, camera2, plane.inliers, judgement.verdict, judgement.reason, judgement.evidence,
-            R=judgement.rotation, H=plane.model,
+            R=judgement.rotation, H=plane.model, history=history,
         )  # fmt: skip
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
     reason = judgement.reason
@@ -139,7 +141,7 @@ def estimate_two_view(
     evidence = judgement.evidence | {"share_in_front": float(in_front[inliers].double().mean())}
     return TwoView(
         camera1, camera2, inliers & in_front, judgement.verdict, reason, evidence,
-        R=R, t=t, E=E, F=F, H=plane.model, alternatives=alternatives,
+        R=R, t=t, E=E, F=F, H=plane.model, alternatives=alternatives, history=history,
     )  # fmt: skip
 
 

@@ -14,20 +14,17 @@ _UP = (0, -1, 0)  # the frame of camera 1 has y down
 _FORWARD = np.array([-0.35, 0.42, 0.84])  # the direction of the look into the scene: from behind, above, the right
 
 
-def default_blueprint(result: Reconstruction, prefix: str = "", *, history: bool = False) -> rrb.Blueprint:
+def default_blueprint(result: Reconstruction, prefix: str = "") -> rrb.Blueprint:
     """Pages *Overview*, *Keypoints*, *Matches*, *Epipolar geometry*, *Cloud* and *Account*.
 
     Made for 1280 x 800 and more. Views of what the result does not have (no cloud, no covariance) are left out.
-
-    Args:
-        history: whether the improvements of the robust estimator were logged.
     """
     p = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
     pages = [
         _overview(result, p),
         _keypoints(result, p),
         _matches(result, p),
-        _epipolar(result, p, history),
+        _epipolar(result, p),
         *([_cloud(result, p)] if result.cloud is not None else []),
         _account(p),
     ]
@@ -126,7 +123,7 @@ def _matches(result: Reconstruction, p: str) -> rrb.Grid:
     )
 
 
-def _epipolar(result: Reconstruction, p: str, history: bool) -> rrb.Vertical:
+def _epipolar(result: Reconstruction, p: str) -> rrb.Vertical:
     what = ("epipolar/**", "epipole", "homography")
     charts = [
         rrb.BarChartView(origin=f"{p}/estimation/improvements", name="Inliers, improvement by improvement"),
@@ -137,7 +134,7 @@ def _epipolar(result: Reconstruction, p: str, history: bool) -> rrb.Vertical:
         rrb.Horizontal(
             _space(result, p, "Four poses: points in front", "poses/**", "points/photograph", near=True),
             rrb.Tabs(
-                *(charts if history else []),
+                *(charts if result.two_view.history else []),
                 rrb.TextDocumentView(origin=f"{p}/verdict", name="Verdict and evidence"),
                 active_tab=0,
             ),

@@ -9,13 +9,12 @@ import numpy as np
 import rerun as rr
 from matplotlib import colormaps
 
-from ..estimation.result import Improvement
 from ..geometry.coordinates import normalize
 from ..geometry.essential import decompose_essential
 from ..geometry.fundamental import epipolar_lines, epipoles, fundamental_from_essential
 from ..geometry.pose import cheirality
 from ..geometry.reprojection import project
-from ..types import Correspondences, PointCloud, TwoView, Verdict
+from ..types import Correspondences, Improvement, PointCloud, TwoView, Verdict
 from . import marks
 from .stream import (
     GREY,
@@ -51,7 +50,7 @@ def log_history(
     The timeline counts improvements: several may have come of the same number of samples, which are logged beside them.
 
     Args:
-        history: :attr:`sfmkit.estimation.RobustModel.history`.
+        history: :attr:`sfmkit.types.TwoView.history`.
         kind: what its models are: ``essential`` (normalised coordinates) or ``fundamental`` (pixels).
         sample: number of matches whose lines are drawn.
     """

@@ -20,7 +20,6 @@ from matplotlib import colormaps
 
 from ..account import ALL, OperatorAccount
 from ..errors import OutputError
-from ..estimation.result import Improvement
 from ..pipeline import Reconstruction, name_of
 from ..report import make_report
 from ..writing import atomic_write
@@ -61,14 +60,12 @@ def save_recording(
     result: Reconstruction,
     *,
     originals: bool = False,
-    history: Sequence[Improvement] = (),
 ) -> None:
     """Write a whole reconstruction, with the layout of its views, to one .rrd file.
 
     Args:
         path: appears whole or not at all; a file that is there is replaced.
         originals: keep the photographs as they are (the file's own JPEG, or PNG) instead of at JPEG quality 80.
-        history: the improvements of the robust estimator, for the timeline ``iteration``.
 
     Raises:
         OutputError: the file cannot be written.
@@ -78,9 +75,9 @@ def save_recording(
         rec.set_log_time_enabled(False)
         rec.set_log_tick_enabled(False)
         try:
-            rec.save(temporary, default_blueprint=default_blueprint(result, history=bool(history)))
+            rec.save(temporary, default_blueprint=default_blueprint(result))
             rec.send_recording_name(" + ".join(name_of(image, n) for n, image in enumerate(result.images, start=1)))
-            log_reconstruction(rec, result, originals=originals, history=history)
+            log_reconstruction(rec, result, originals=originals)
             rec.flush()
         except (RuntimeError, ValueError) as error:
             raise OutputError(f"{path} cannot be written: {error}") from error
@@ -94,7 +91,6 @@ def log_reconstruction(
     prefix: str = "",
     *,
     originals: bool = False,
-    history: Sequence[Improvement] = (),
 ) -> None:
     """Everything of a reconstruction, stage by stage."""
     view, corr, cloud = result.two_view, result.correspondences, result.cloud
@@ -110,7 +106,7 @@ def log_reconstruction(
     log_features(rec, result.features, cameras, prefix, became=became)
     log_matches(rec, result.features, result.matches, cameras, prefix)
     log_fusion(rec, result.features, result.matches, corr, cameras, prefix)
-    log_history(rec, history, corr, cameras, prefix, kind=kind)
+    log_history(rec, view.history, corr, cameras, prefix, kind=kind)
     log_two_view(rec, corr, view, traced, prefix)
     log_pose(rec, corr, view, prefix, frustum=0.15 * depth)
     if cloud is not None and len(cloud):

@@ -19,7 +19,6 @@ import torch
 from made_up_result import LONELY, OPERATORS, OUTLIERS, POINTS, make_result
 
 from sfmkit.errors import OutputError
-from sfmkit.estimation.result import Improvement
 from sfmkit.geometry.reprojection import project
 from sfmkit.images import read_image
 from sfmkit.pipeline import Reconstruction
@@ -28,7 +27,6 @@ from sfmkit.viz import rerun as recordings
 from sfmkit.viz.recording import Recording, read_recording
 
 RESULT = make_result()
-HISTORY = tuple(Improvement(64 * i, RESULT.two_view.E, 100 * i + 50, 0.1 * i, "sample") for i in range(3))
 
 
 def saved(folder: Path, result: Reconstruction, **options) -> Recording:
@@ -39,7 +37,7 @@ def saved(folder: Path, result: Reconstruction, **options) -> Recording:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Recording:
-    return saved(tmp_path_factory.mktemp("recording"), RESULT, history=HISTORY)
+    return saved(tmp_path_factory.mktemp("recording"), RESULT)
 
 
 def own(recording: Recording, entity: str) -> dict:
