@@ -11,6 +11,13 @@ import click
 from ..exit_status import OK, UNTRUSTWORTHY
 from ..progress import progress
 
+OPERATORS = "surf,orb,fast-brief"
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """Those that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in value.split(",") if part.strip())
@@ -23,7 +30,7 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[st
 @click.option("--intrinsics2", help="K of image 2, where it is another camera.")
 @click.option(
     "--operators",
-    default="surf,orb,fast-brief",
+    default=OPERATORS,
     show_default=True,
     callback=_names,
     help="Detectors, comma-separated; see `sfmkit operators`.",
@@ -89,32 +96,6 @@ def reconstruct(
     Writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder --out. Exit status: 0 done,
     1 ran but found no trustworthy geometry (the report says why), 2 bad input.
     """
-    run_reconstruct(
-        image1, image2, intrinsics=intrinsics, intrinsics2=intrinsics2, operators=operators, preset=preset,
-        changes={"backend": backend, "threshold_px": threshold}, detect={"budget": budget, "max_size": max_size},
-        truth=truth, seed=seed, out=out, overwrite=overwrite, colmap=colmap, rrd=rrd, quiet=quiet, as_json=as_json,
-    )  # fmt: skip
-
-
-def run_reconstruct(
-    image1: str,
-    image2: str,
-    *,
-    intrinsics: str | None,
-    intrinsics2: str | None,
-    operators: tuple[str, ...],
-    preset: str,
-    changes: dict[str, Any],
-    detect: dict[str, Any],
-    truth: str | None,
-    seed: int,
-    out: Path,
-    overwrite: bool,
-    colmap: bool,
-    rrd: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
     from dataclasses import replace
 
     from ..errors import OutputError
@@ -130,13 +111,13 @@ def run_reconstruct(
 
         pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
         options = PRESETS[preset]
-        changes = {k: v for k, v in changes.items() if v is not None}
-        if "backend" in changes:
-            changes["method"] = None  # a method's name belongs to its back end
+        estimate = given(backend=backend, threshold_px=threshold)
+        if backend is not None:
+            estimate["method"] = None  # a method's name belongs to its back end
         options = replace(
             options,
-            estimate=replace(options.estimate, **changes),
-            detect=replace(options.detect, **{k: v for k, v in detect.items() if v is not None}),
+            estimate=replace(options.estimate, **estimate),
+            detect=replace(options.detect, **given(budget=budget, max_size=max_size)),
         )
         result = run(
             image1,
@@ -169,15 +150,15 @@ def run_reconstruct(
 @click.option("--preset", type=click.Choice(["default", "dense", "paper"]), default="default", show_default=True)
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def demo(out: Path, preset: str, quiet: bool, as_json: bool) -> None:
+@click.pass_context
+def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
     """Run the main job on the bundled pair, whose true pose is known. Replaces the folder --out."""
     from ..datasets.synthetic import demo_pair
 
-    image1, image2, truth = demo_pair()
-    run_reconstruct(
-        str(image1), str(image2), intrinsics=str(truth), intrinsics2=None, operators=("surf", "orb", "fast-brief"),
-        preset=preset, changes={}, detect={}, truth=str(truth), seed=0, out=out, overwrite=True, colmap=False, rrd=True,
-        quiet=quiet, as_json=as_json,
+    image1, image2, truth = map(str, demo_pair())
+    ctx.invoke(
+        reconstruct, image1=image1, image2=image2, intrinsics=truth, truth=truth, operators=tuple(OPERATORS.split(",")),
+        out=out, overwrite=True, **printed,
     )  # fmt: skip
 
 
