@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
+from ..viz.colours import operator_colour
 from ..writing import atomic_write
 from .metrics import error_auc
 from .oxford import FLOOR, MULTI, OURS, PAPERS
@@ -107,7 +110,7 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
         f"Table {number}: mean RMSE of H, {' and '.join(sequences)}",
         (
             Column("sequence"), Column("operator"), Column("ours", ".2f"), Column("over seeds", ">"), Column("solved", ">"),
-            Column("ours less paper", "+.2f"), Column("paper", "g", paper=True), Column("its recipe, rerun", ".2f"),
+            Column("ours less paper", "+.2f"), Column("paper", ".2f", paper=True), Column("its recipe, rerun", ".2f"),
             Column("solved", ">"), Column("matches", ",.0f"), Column("paper: features", ",", paper=True),
         ),
         tuple(lines),
@@ -162,19 +165,14 @@ def _feature_table(rows: Sequence[Row]) -> ResultTable:
 
 def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
     """Figures 7 to 10, pair by pair on a log axis, our recipe above and the paper's below, as PNG files."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     operators = operators_of(rows)
-    colours = dict(zip(operators, plt.rcParams["axes.prop_cycle"].by_key()["color"] * 8))
     drawn = []
     for number, names in OXFORD_FIGURES.items():
         here = [name for name in names if estimates(rows, sequence=name)]
         if not here:
             continue
-        figure, axes = plt.subplots(2, len(here), figsize=(5.5 * len(here), 6.5), sharey="col", squeeze=False)
+        figure = Figure(figsize=(5.5 * len(here), 6.5), layout="constrained")
+        axes = figure.subplots(2, len(here), sharey="col", squeeze=False)
         for column, sequence in enumerate(here):
             pairs = sorted({r["pair"] for r in estimates(rows, sequence=sequence)})
             for line, (recipe, title) in enumerate(((OURS, "ours"), (PAPERS, "the paper's recipe"))):
@@ -184,7 +182,7 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
                     values = [[r["rmse"] for r in mine if r["pair"] == p and r["rmse"] is not None] for p in pairs]
                     heights = [np.median(v) if v else np.nan for v in values]
                     at = np.arange(len(pairs)) + (k - (len(operators) - 1) / 2) * 0.8 / len(operators)
-                    ax.bar(at, heights, 0.8 / len(operators), label=operator, color=colours[operator])
+                    ax.bar(at, heights, 0.8 / len(operators), label=operator, color=operator_colour(operator))
                 floors = {r["pair"]: r["rmse"] for r in rows if r["kind"] == FLOOR and r["sequence"] == sequence}
                 for x, p in enumerate(pairs):
                     ax.hlines(floors[p], x - 0.45, x + 0.45, colors="black", linestyles="dotted", linewidth=1)
@@ -193,11 +191,10 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
                 ax.grid(axis="y", alpha=0.3)
         axes[0, 0].legend(fontsize=8)
         figure.suptitle(f"Figure {number}: dotted, the truth's floor; no bar, too little evidence", fontsize=10)
-        figure.tight_layout()
         file = folder / f"figure{number:02d}.png"
         with atomic_write(file) as temporary:
+            FigureCanvasAgg(figure)
             figure.savefig(temporary, dpi=110, format="png")
-        plt.close(figure)
         drawn.append(
             ResultFigure(
                 f"Figure {number}: RMSE of H, pair by pair, {' and '.join(here)}",
