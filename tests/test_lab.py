@@ -35,13 +35,20 @@ def test_lab_opens_the_notebooks_on_this_machine_only(started):
     assert "--ServerApp.port=9001" in command
     assert "--ServerApp.open_browser=False" in command
     assert environment["RERUN_NOTEBOOK_ASSET"] == "serve-local"
+    assert "--LabApp.default_url=/lab/tree/00_quick_start.ipynb" in command
 
 
 def test_a_folder_of_ones_own(started, tmp_path):
     (tmp_path / "mine.ipynb").write_text("{}")
-    assert CliRunner().invoke(main, ["lab", str(tmp_path), "--allow-root"]).exit_code == 0
-    assert "--ServerApp.allow_root=True" in started[0][0]
+    assert CliRunner().invoke(main, ["lab", str(tmp_path)]).exit_code == 0
     assert f"--ServerApp.root_dir={tmp_path.resolve()}" in started[0][0]
+
+
+@pytest.mark.parametrize("root", [True, False])
+def test_as_root_it_starts_too_and_says_so(started, monkeypatch, root):
+    monkeypatch.setattr(lab, "runs_as_root", lambda: root)
+    result = CliRunner().invoke(main, ["lab"])
+    assert ("--ServerApp.allow_root=True" in started[0][0]) == ("running as root" in result.output) == root
 
 
 def test_without_notebooks_it_says_where_to_get_them(started, monkeypatch, tmp_path):

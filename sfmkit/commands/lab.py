@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from urllib.parse import quote
 
 import click
 
@@ -34,17 +35,24 @@ def notebook_folder(folder: Path | None) -> Path:
     )
 
 
-def lab_command(folder: Path, port: int, browser: bool, allow_root: bool = False) -> tuple[list[str], dict[str, str]]:
+def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict[str, str]]:
     """The command line of JupyterLab and its environment."""
+    first = min(folder.glob("*.ipynb"))
     command = [sys.executable, "-m", "jupyterlab", f"--ServerApp.root_dir={folder}", f"--ServerApp.ip={HOST}",
-               f"--ServerApp.port={port}", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
-               "--LabApp.news_url=None"]  # fmt: skip
+               f"--ServerApp.port={port}", "--ServerApp.log_level=ERROR", f"--LabApp.default_url=/lab/tree/{quote(first.name)}",
+               "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate", "--LabApp.news_url=None"]  # fmt: skip
     if not browser:
         command.append("--ServerApp.open_browser=False")
-    if allow_root:
+    if runs_as_root():
         command.append("--ServerApp.allow_root=True")
+    # The folder above labconfig/, whose settings keep JupyterLab from asking about news: it would look for them on the web.
+    settings = os.pathsep.join(filter(None, (str(Path(__file__).parent), os.environ.get("JUPYTER_CONFIG_PATH"))))
     # The embedded viewer's page is served by the kernel: read when rerun is imported, so it must be there before.
-    return command, {**os.environ, "RERUN_NOTEBOOK_ASSET": "serve-local"}
+    return command, {**os.environ, "JUPYTER_CONFIG_PATH": settings, "RERUN_NOTEBOOK_ASSET": "serve-local"}
+
+
+def runs_as_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
 @click.command()
@@ -53,14 +61,19 @@ def lab_command(folder: Path, port: int, browser: bool, allow_root: bool = False
     "--port", type=click.IntRange(0, 65535), default=8888, show_default=True, help="The next free one if taken."
 )
 @click.option("--browser/--no-browser", default=True, show_default=True, help="Open a browser on it.")
-@click.option("--allow-root", is_flag=True, help="Run as root, which JupyterLab refuses otherwise; for containers.")
-def lab(folder: Path | None, port: int, browser: bool, allow_root: bool) -> None:
+def lab(folder: Path | None, port: int, browser: bool) -> None:
     """Open the notebooks in JupyterLab; it listens on 127.0.0.1 only and needs no internet.
 
     FOLDER: other notebooks than the project's own.
+
+    As root, as in most containers, it starts too: whoever opens the page with its token is root in the notebooks.
     """
     place = notebook_folder(folder)
     if find_spec("jupyterlab") is None:
         raise InputError("JupyterLab is not installed here; install the extra: pip install 'sfmkit[notebook]'")
-    command, environment = lab_command(place, port, browser, allow_root)
+    if runs_as_root():
+        click.echo(
+            "running as root: so will the notebooks. The page asks for a token and listens on 127.0.0.1 only.", err=True
+        )
+    command, environment = lab_command(place, port, browser)
     sys.exit(subprocess.run(command, env=environment, check=False).returncode)
