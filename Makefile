@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-EXTRAS := notebook,peers,browser,dev
+EXTRAS := notebook,peers,cluster,browser,dev
 
 .PHONY: demo test lab lint types build clean env
 

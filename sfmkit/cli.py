@@ -21,6 +21,10 @@ COMMANDS = {
     "data": ("data", "data"),
     "lab": ("lab", "lab"),
     "bench": ("bench", "bench"),
+    "density": ("density", "density"),
+    "compare": ("compare", "compare"),
+    "ablate": ("ablate", "ablate"),
+    "cache": ("cache", "cache"),
 }
 
 

@@ -141,7 +141,15 @@ def _to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
 
 
 def _read_file(path: Path) -> Image:
-    data = _read_bytes(path)
+    return decode_image(_read_bytes(path), path)
+
+
+def decode_image(data: bytes, path: Path) -> Image:
+    """:func:`read_image` of a file's bytes, which came from elsewhere; `path` is what to call it.
+
+    Raises:
+        ImageError: as there.
+    """
     try:
         with _open(data, path) as picture:
             exif = _read_exif(picture)

@@ -1,0 +1,12 @@
+"""Which operators help, where, and by how much: every combination on every pair, cached, resumable, local or on a cluster.
+
+>>> from sfmkit.ablation import ablate
+>>> table = ablate("planes", ["surf", "orb", "sift"], seeds=3, out="out/ablation")
+"""
+
+from .folder import read_sweep
+from .plan import make_plan
+from .run import Progress, ablate
+from .table import AblationTable, read_table
+
+__all__ = ["AblationTable", "Progress", "ablate", "make_plan", "read_sweep", "read_table"]

@@ -1,0 +1,210 @@
+"""The whole work of a sweep, laid out before any of it is done: what is detected, matched and estimated, each once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..datasets import Pair
+from ..errors import InputError
+from ..features import available
+from ..features.tables import operator_spec
+from .cache import Cache
+from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
+from .tasks import DetectTask, EstimateTask, Job, MatchTask, Task, estimate_key
+from .variants import Combination, Variant, choose_combinations, choose_variants
+from .version import digest, engine_version
+
+_ESTIMATES = 24  # of a task at most: about ten seconds of work, and one shard
+
+# Rough costs of one thread, for the estimate of the time only: seconds a megapixel, a product of keypoints, an estimate.
+_DETECT_S = {"surf": 0.4, "orb": 0.15, "fast-brief": 0.1, "sift": 1.0, "akaze": 0.3}
+_DETECT_OTHER_S = 1.0
+_MATCH_S = 2.5e-9
+_ESTIMATE_S = {True: 0.3, False: 0.5}  # homography, two-view
+_KEYPOINTS = (3_000, 15_000)  # of an image, and of each of its megapixels
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How often each stage runs, and how many of these results are in the cache already.
+
+    Attributes:
+        detections, matchings, estimates: distinct ones.
+        cached: of them, by kind.
+        rows: of the table.
+        seconds: about how long what is not cached takes one worker.
+    """
+
+    detections: int
+    matchings: int
+    estimates: int
+    cached: Mapping[str, int]
+    rows: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A sweep.
+
+    Attributes:
+        pairs: what it runs on.
+        operators, combinations, variants, seeds: what it runs.
+        units: all estimates, in the order of the table's rows.
+    """
+
+    pairs: tuple[PlannedPair, ...]
+    operators: tuple[str, ...]
+    combinations: tuple[Combination, ...]
+    variants: tuple[Variant, ...]
+    seeds: int
+    units: tuple[EstimateTask, ...]
+
+    @cached_property
+    def matchings(self) -> dict[str, MatchTask]:
+        return {m.key: m for unit in self.units for m in unit.needs}
+
+    @cached_property
+    def detections(self) -> dict[str, DetectTask]:
+        return {d.key: d for m in self.matchings.values() for d in m.needs}
+
+    @cached_property
+    def identity(self) -> str:
+        """Digest of everything that the rows depend on."""
+        pairs = [[str(p), p.has_truth, p.failure] for p in self.pairs]
+        return digest(engine_version(), pairs, [unit.key for unit in self.units])
+
+    def count(self, cache: Cache | None) -> Counts:
+        jobs = {job.key for unit in self.units for job in unit.jobs if not self.pairs[unit.pair].failure}
+        groups: dict[str, Iterable[str]] = {
+            "features": self.detections, "matches": self.matchings, "estimates": jobs
+        }  # fmt: skip
+        have = {kind: {k for k in keys if cache is not None and cache.has(kind, k)} for kind, keys in groups.items()}
+        waiting = [
+            unit for unit in self.units if not self.pairs[unit.pair].failure and any(j.key not in have["estimates"] for j in unit.jobs)
+        ]  # fmt: skip
+        matchings = {m.key: m for unit in waiting for m in unit.needs if m.key not in have["matches"]}
+        detections = {d.key: d for m in matchings.values() for d in m.needs if d.key not in have["features"]}
+        stages: list[Task] = [*detections.values(), *matchings.values()]
+        seconds = sum(cost(task) for task in stages)
+        for unit in waiting:
+            seconds += cost(unit) * sum(j.key not in have["estimates"] for j in unit.jobs) / len(unit.jobs)
+        return Counts(
+            len(self.detections), len(self.matchings), len(jobs), {kind: len(keys) for kind, keys in have.items()},
+            sum(len(unit.jobs) for unit in self.units), seconds,
+        )  # fmt: skip
+
+    def as_json(self) -> dict[str, Any]:
+        """What the sweep is, for its folder."""
+        return {
+            "identity": self.identity,
+            "engine": engine_version(),
+            "operators": list(self.operators),
+            "combinations": [list(c) for c in self.combinations],
+            "variants": [{"preset": v.preset, "vary": dict(v.changes)} for v in self.variants],
+            "seeds": self.seeds,
+            "pairs": [p.as_json() for p in self.pairs],
+        }
+
+
+def cost(task: Task) -> float:
+    """About how many seconds a task takes one worker."""
+    if isinstance(task, DetectTask):
+        return _DETECT_S.get(task.setting.operator, _DETECT_OTHER_S) * task.image.megapixels
+    if isinstance(task, MatchTask):
+        n1, n2 = (_keypoints(d) for d in task.needs)
+        return _MATCH_S * n1 * n2
+    return _ESTIMATE_S[task.homography] * len(task.jobs)
+
+
+def _keypoints(task: DetectTask) -> float:
+    guess = _KEYPOINTS[0] + _KEYPOINTS[1] * task.image.megapixels
+    return min(guess, task.setting.budget or 60_000)
+
+
+def make_plan(
+    data: str | Iterable[str | Pair],
+    operators: Sequence[str],
+    *,
+    combos: str | Sequence[str | Sequence[str]] = "all",
+    seeds: int = 1,
+    presets: Sequence[str] = ("default",),
+    vary: Mapping[str, Sequence[Any]] | None = None,
+    root: str | os.PathLike | None = None,
+    cache: Cache | None = None,
+    images: Path | None = None,
+    say: Callable[[str, str], None] = lambda stage, detail: None,
+) -> Plan:
+    """Lay out a sweep; arguments as for :func:`sfmkit.ablation.ablate`.
+
+    Args:
+        cache: where rendered pairs are kept.
+        images: folder for images that are no files.
+
+    Raises:
+        InputError: unknown operators, combinations, presets, settings, data sets.
+    """
+    names = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    for name in names:
+        usable, reason = available(name)
+        if not usable:
+            raise InputError(f"operator '{name}' is not available here: {reason}")
+    if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
+        raise InputError(f"seeds must be a whole number of at least 1, not {seeds!r}")
+    combinations = choose_combinations(names, combos)
+    variants = choose_variants(presets, vary, names)
+    shelf = ImageShelf(images)
+    found = []
+    for pair in find_pairs(data, root, cache, say):
+        say("images", str(pair))
+        found.append(plan_pair(pair, shelf))
+    units = [
+        unit for index, pair in enumerate(found) for unit in _units(index, pair, combinations, variants, seeds)
+    ]  # fmt: skip
+    return Plan(tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units))
+
+
+def _units(
+    index: int, pair: PlannedPair, combinations: Sequence[Combination], variants: Sequence[Variant], seeds: int
+) -> Iterable[EstimateTask]:
+    """The estimates of one pair. A change to an operator is no change for combinations without it."""
+    chosen: dict[Variant, list[Combination]] = {}
+    for variant in variants:
+        for combination in combinations:
+            mine = chosen.setdefault(variant.of(combination), [])
+            if combination not in mine:
+                mine.append(combination)
+    size = max(1, _ESTIMATES // seeds)
+    for variant, mine in chosen.items():
+        for start in range(0, len(mine), size):
+            part = mine[start : start + size]
+            matches = _matchings(pair, variant, part)
+            jobs = tuple(
+                Job(c, seed, _job_key(index, pair, variant, matches, c, seed)) for c in part for seed in range(seeds)
+            )
+            key = digest("unit", index, [job.key for job in jobs])
+            yield EstimateTask(key, index, pair.homography, pair.cameras, variant, jobs, matches)
+
+
+def _matchings(pair: PlannedPair, variant: Variant, combinations: Sequence[Combination]) -> dict[str, MatchTask]:
+    if pair.images is None or pair.failure:
+        return {}
+    first, second = pair.images
+    options = variant.options.match
+    return {
+        o: MatchTask(DetectTask(first, variant.setting(o)), DetectTask(second, variant.setting(o)), options)
+        for o in dict.fromkeys(o for c in combinations for o in c)
+    }
+
+
+def _job_key(
+    index: int, pair: PlannedPair, variant: Variant, matches: dict[str, MatchTask], combination: Combination, seed: int
+) -> str:
+    if not matches:
+        return digest("failed", index, str(pair), variant.preset, variant.vary, combination, seed)
+    return estimate_key(pair.homography, pair.cameras, variant, matches, combination, seed)

@@ -1,0 +1,302 @@
+"""A sweep from plan to table: ``ablate(...)``.
+
+One process plans, hands out tasks, and alone writes the sweep's folder; workers write the cache. Whatever is killed,
+what is in either stays, and the same call goes on from there.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from ..datasets import Pair
+from ..errors import InputError, OutputError
+from .cache import DEFAULT_LIMIT, Cache, cache_folder
+from .engines import Engine, LocalEngine
+from .entry import DamagedEntry, Entry
+from .folder import SweepFolder
+from .plan import Plan, cost, make_plan
+from .scheduling import Agenda, all_needs
+from .table import AblationTable, make_row
+from .tasks import DetectTask, EstimateTask, Task
+from .version import engine_version
+from .worker import Outcome, Parcel, Setup
+
+_TIDY_EVERY = 500  # outcomes
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a sweep is.
+
+    Attributes:
+        stage: ``plan``, ``run`` or ``merge``.
+        done, total: rows.
+        what: what was done last.
+        seconds_left: estimate; None while nothing is known.
+        notes: what the user should hear of, since the last time.
+    """
+
+    stage: str
+    done: int = 0
+    total: int = 0
+    what: str = ""
+    seconds_left: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+Watcher = Callable[[Progress], None]
+
+
+def ablate(
+    data: str | Iterable[str | Pair],
+    operators: Sequence[str] = ("surf", "orb", "fast-brief"),
+    *,
+    combos: str | Sequence[str | Sequence[str]] = "all",
+    seeds: int = 1,
+    preset: str | Sequence[str] = "default",
+    vary: Mapping[str, Sequence[Any]] | None = None,
+    out: str | os.PathLike | None = None,
+    root: str | os.PathLike | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    ship: Literal["path", "bytes"] = "path",
+    cache: str | os.PathLike | None = None,
+    cache_limit: int = DEFAULT_LIMIT,
+    progress: Watcher | None = None,
+) -> AblationTable:
+    """Run every combination of operators on every pair, and return one table.
+
+    >>> table = ablate("planes:viewpoint", ["surf", "orb", "sift"], seeds=3, out="out/ablation")
+
+    Every image is searched once for each operator and setting, every pair matched once, and all combinations and seeds
+    share that. Results are cached by content, so another sweep uses them too. A run that fails is a row with its reason.
+
+    Args:
+        data: data sets, ``"oxford,strecha:fountain-P11"`` (sequences after a colon, joined by +), or pairs.
+        operators: names; their order is that of the combinations' names.
+        combos: ``all``, ``pairs``, ``leave-one-out``, or a list (:func:`~.variants.choose_combinations`).
+        seeds: each estimate is made with seeds 0 ... seeds - 1.
+        preset: ``default``, ``paper``, or several.
+        vary: setting -> values, every combination of them (:func:`~.variants.choose_variants`).
+        out: folder of the sweep, which goes on where it stopped; None keeps the table in memory.
+        root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
+        workers: local processes; None for one a core.
+        scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.
+        ship: whether the cluster's workers see our files (``path``: images and cache), or images travel to them and
+            arrays back (``bytes``).
+        cache: folder; None: :func:`~.cache.cache_folder`.
+        cache_limit: bytes of the cache.
+        progress: called with a :class:`Progress`.
+
+    Raises:
+        InputError: whatever is asked for cannot be, the folder holds another sweep or one that runs, no scheduler
+            answers, or workers run another version.
+        OutputError: the disk is full, or a folder cannot be written. What was done is kept.
+    """
+    if ship not in ("path", "bytes"):
+        raise InputError(f"ship must be 'path' or 'bytes', not {ship!r}")
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="sfmkit-ablation-") as made:
+            table = ablate(
+                data, operators, combos=combos, seeds=seeds, preset=preset, vary=vary, out=made, root=root,
+                workers=workers, scheduler=scheduler, ship=ship, cache=cache, cache_limit=cache_limit, progress=progress,
+            )  # fmt: skip
+        return AblationTable(table.data)
+    watch: Watcher = progress or (lambda _: None)
+    watch(Progress("plan", what="loading"))
+    store = Cache(Path(cache) if cache is not None else cache_folder(), cache_limit)
+    folder = SweepFolder(out)
+    with folder.locked():
+        plan = make_plan(
+            data, operators, combos=combos, seeds=seeds, presets=(preset,) if isinstance(preset, str) else preset,
+            vary=vary, root=root, cache=store, images=folder.images,
+            say=lambda stage, detail: watch(Progress("plan", what=f"{stage} {detail}")),
+        )  # fmt: skip
+        folder.open(plan)
+        store.tidy()
+        setup = Setup(engine_version(), None if ship == "bytes" else str(store.folder.resolve()))
+
+        def engine() -> Engine:
+            if scheduler is None:
+                return LocalEngine(workers or os.cpu_count() or 1, setup)
+            from .cluster import DaskEngine
+
+            return DaskEngine(scheduler, setup)
+
+        if ship == "bytes" and scheduler is None:
+            raise InputError("ship='bytes' is for a cluster (scheduler=...); local processes see the same files")
+        Sweep(plan, folder, store, watch).run(engine)
+        watch(Progress("merge", what=str(folder.path)))
+        return folder.merge(plan)
+
+
+@dataclass
+class Sweep:
+    """The state of a sweep under way."""
+
+    plan: Plan
+    folder: SweepFolder
+    cache: Cache
+    watch: Watcher
+    _results: dict[str, dict[str, Mapping[str, Any] | str]] = field(default_factory=dict)  # unit -> job -> result
+    _numbers: dict[str, int] = field(default_factory=dict)  # key of an estimate task -> its unit's place in the plan
+    _rows_done: int = 0
+    _notes: list[str] = field(default_factory=list)
+    _spent: float = 0.0  # seconds of workers, and the cost that was expected for the same work
+    _expected: float = 0.0
+    _left: float = 0.0  # cost of what is still to be done
+
+    def run(self, start: Callable[[], Engine]) -> None:
+        """Do what is missing. The engine starts only if something is."""
+        total = sum(len(unit.jobs) for unit in self.plan.units)
+        self._say("what was done before", total)
+        missing = []
+        for number, unit in enumerate(self.plan.units):
+            if self.folder.has(unit):
+                self._rows_done += len(unit.jobs)
+            elif self._from_cache(unit):
+                self._say("from the cache", total)
+            else:
+                missing.append((number, unit))
+        if not missing:
+            return
+        counts = self.plan.count(self.cache)
+        self._left = counts.seconds
+        engine = start()
+        try:
+            self._work(engine, missing, total)
+        finally:
+            engine.close()
+
+    def _from_cache(self, unit: EstimateTask) -> bool:
+        """Gather what is known of a unit's jobs; whether that is all, and its shard is written."""
+        pair = self.plan.pairs[unit.pair]
+        known = self._results.setdefault(unit.key, {})
+        for job in unit.jobs:
+            if pair.failure:
+                known[job.key] = pair.failure
+            elif (entry := self.cache.get("estimates", job.key, self._notes.append)) is not None:
+                known[job.key] = entry.meta
+        return self._finish(unit)
+
+    def _finish(self, unit: EstimateTask) -> bool:
+        """Write the unit's shard if all of its jobs have a result."""
+        known = self._results[unit.key]
+        if any(job.key not in known for job in unit.jobs):
+            return False
+        pair = self.plan.pairs[unit.pair]
+        self.folder.write(unit, [make_row(pair, unit, job, known[job.key]) for job in unit.jobs])
+        del self._results[unit.key]
+        self._rows_done += len(unit.jobs)
+        return True
+
+    def _work(self, engine: Engine, missing: list[tuple[int, EstimateTask]], total: int) -> None:
+        agenda = Agenda(lambda t: self.cache.has(t.kind, t.key), self._give_up)
+        order = iter(missing)
+        running = outcomes = 0
+        while True:
+            while running < (slots := engine.slots):
+                while len(agenda) < slots and (item := next(order, None)) is not None:
+                    number, unit = item
+                    self._numbers[unit.key] = number
+                    known = self._results[unit.key]
+                    agenda.want(unit.only(tuple(job for job in unit.jobs if job.key not in known)), number)
+                if not len(agenda):
+                    break
+                task = agenda.pop()
+                parcel = self._parcel(engine, agenda, task)
+                if parcel is not None:
+                    engine.submit(task, parcel)
+                    running += 1
+            if not running:
+                break
+            task, outcome = engine.next()
+            running -= 1
+            outcomes += 1
+            self._take(agenda, task, outcome)
+            self._progress(task, outcome, engine.slots, total)
+            if outcomes % _TIDY_EVERY == 0:
+                self.cache.tidy()
+        self.cache.tidy()
+
+    def _unit(self, task: EstimateTask) -> EstimateTask:
+        """The unit that the task is a part of."""
+        return self.plan.units[self._numbers[task.key]]
+
+    def _give_up(self, task: EstimateTask, reasons: dict[str, str]) -> None:
+        """Some operators have failed, for these reasons, and with them the combinations that have them."""
+        unit = self._unit(task)
+        for job in task.jobs:
+            operator = next((o for o in job.combination if o in reasons), None)
+            if operator is not None:
+                self._results[unit.key][job.key] = f"{operator}: {reasons[operator]}"
+        self._finish(unit)
+
+    def _parcel(self, engine: Engine, agenda: Agenda, task: Task) -> Parcel | None:
+        """What must travel with the task; None when some of it has to be made again first."""
+        if engine.shares_files:
+            return Parcel()
+        try:
+            if isinstance(task, DetectTask):
+                return Parcel(images={task.image.digest: Path(task.image.path).read_bytes()})
+        except OSError:
+            return Parcel()  # the worker will say what is wrong with the image
+        inputs, lost = {}, []
+        for key, need in all_needs(task).items():
+            data = self.cache.get_bytes(need.kind, key)
+            try:
+                if data is None:
+                    raise DamagedEntry("gone")
+                Entry.from_bytes(data, key)
+                inputs[key] = data
+            except DamagedEntry as error:
+                self._notes.append(f"cache entry {need.kind}/{key[:12]} is {error}; it is made again")
+                self.cache.drop(need.kind, key)
+                lost.append(need)
+        if lost:
+            agenda.again(task, 0, lost)
+            return None
+        return Parcel(inputs=inputs)
+
+    def _take(self, agenda: Agenda, task: Task, outcome: Outcome) -> None:
+        self._notes += outcome.notes
+        if outcome.status == "full":
+            raise OutputError(outcome.reason)
+        if outcome.status == "refused":
+            raise InputError(outcome.reason)
+        if not isinstance(task, EstimateTask):
+            if outcome.data is not None:
+                self.cache.put_bytes(task.kind, task.key, outcome.data)
+            agenda.finished(task, outcome.reason)
+            return
+        unit = self._unit(task)
+        if outcome.status == "failed" and len(task.jobs) > 1:  # one of them is to blame: each by itself
+            for k, job in enumerate(task.jobs):
+                part = task.only((job,), f"{task.key}.{k}")
+                self._numbers[part.key] = self._numbers[task.key]
+                agenda.want(part, self._numbers[task.key])
+            return
+        known = self._results[unit.key]
+        for job in task.jobs:
+            result = outcome.estimates.get(job.key, outcome.reason)
+            known[job.key] = result
+            if isinstance(result, dict) and not self.cache.has("estimates", job.key):
+                self.cache.put("estimates", Entry(job.key, result))
+        agenda.finished(task, outcome.reason)
+        self._finish(unit)
+
+    def _progress(self, task: Task, outcome: Outcome, slots: int, total: int) -> None:
+        self._spent += outcome.seconds
+        self._expected += cost(task)
+        self._left = max(self._left - cost(task), 0.0)
+        where = f"{self.plan.pairs[task.pair]}: " if isinstance(task, EstimateTask) else ""
+        self._say(f"{where}{task}", total, self._left * self._spent / max(self._expected, 1e-9) / slots)
+
+    def _say(self, what: str, total: int, seconds_left: float | None = None) -> None:
+        self.watch(Progress("run", self._rows_done, total, what, seconds_left, tuple(self._notes)))
+        self._notes.clear()

@@ -1,0 +1,217 @@
+"""What a worker computes: features, matches and estimates, as entries of the cache."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..estimation import adjust, estimate_two_view
+from ..estimation.planar import PAPER_PLANAR, PlanarOptions
+from ..features import detect
+from ..images import Image, decode_image, read_image
+from ..matching import match
+from ..registration import fuse_all, register_matches
+from ..types import Correspondences, Features, Matches, Verdict
+from .cache import Cache
+from .entry import Entry
+from .memory import PeakMemory
+from .tasks import DetectTask, EstimateTask, ImageRef, Job, MatchTask
+
+MEMORY = 512 << 20  # bytes of arrays that a worker keeps at hand
+_FEATURES = ("keypoints", "scales", "angles", "scores", "descriptors")
+
+
+class Store:
+    """Results that are at hand, in the cache, or made now.
+
+    Args:
+        cache: None where the worker shares no files with anyone.
+        inputs: (kind, key) -> bytes that came with the work.
+        images: digest -> the image's bytes, where paths mean nothing.
+        say: told of damaged entries.
+    """
+
+    def __init__(
+        self,
+        cache: Cache | None,
+        inputs: Mapping[str, bytes] | None = None,
+        images: Mapping[str, bytes] | None = None,
+        say: Callable[[str], None] = lambda text: None,
+        kept: OrderedDict[str, Entry] | None = None,
+    ):
+        self.cache, self.inputs, self.images, self.say = cache, inputs or {}, images or {}, say
+        self._kept: OrderedDict[str, Entry] = OrderedDict() if kept is None else kept
+
+    def result(self, task: DetectTask | MatchTask) -> Entry:
+        found = self._find(task)
+        if found is None:
+            found = make_features(task, self) if isinstance(task, DetectTask) else make_matches(task, self)
+            if self.cache is not None:
+                self.cache.put(task.kind, found)
+        self._keep(found)
+        return found
+
+    def _find(self, task: DetectTask | MatchTask) -> Entry | None:
+        if task.key in self._kept:
+            return self._kept[task.key]
+        if task.key in self.inputs:
+            return Entry.from_bytes(self.inputs[task.key], task.key)
+        return None if self.cache is None else self.cache.get(task.kind, task.key, self.say)
+
+    def _keep(self, entry: Entry) -> None:
+        self._kept[entry.key] = entry
+        self._kept.move_to_end(entry.key)
+        while len(self._kept) > 1 and sum(e.nbytes for e in self._kept.values()) > MEMORY:
+            self._kept.popitem(last=False)
+
+    def image(self, ref: ImageRef) -> Image:
+        if ref.digest not in self.images:
+            return read_image(ref.path)
+        return decode_image(self.images[ref.digest], Path(ref.path))
+
+
+def make_features(task: DetectTask, store: Store) -> Entry:
+    """Stage 1."""
+    s = task.setting
+    with PeakMemory() as memory:
+        image = store.image(task.image)
+        began = time.perf_counter()
+        f = detect(
+            image, s.operator, budget=s.budget, max_size=s.max_size, preset=s.preset, **dict(s.options)  # type: ignore[arg-type]
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+    arrays = {name: getattr(f, name) for name in _FEATURES}
+    if f.laplacian is not None:
+        arrays["laplacian"] = f.laplacian
+    meta = {
+        "operator": f.operator,
+        "norm": f.norm,
+        "size_wh": list(f.size_wh),
+        "seconds": seconds,
+        "peak_mb": memory.mb,
+    }
+    return Entry(task.key, meta, arrays)
+
+
+def features_of(entry: Entry) -> Features:
+    a, m = entry.arrays, entry.meta
+    return Features(
+        **{name: a[name] for name in _FEATURES}, norm=m["norm"], operator=m["operator"],
+        size_wh=(m["size_wh"][0], m["size_wh"][1]), laplacian=a.get("laplacian"),
+    )  # fmt: skip
+
+
+def make_matches(task: MatchTask, store: Store) -> Entry:
+    """Stage 2, one operator."""
+    f1, f2 = (features_of(store.result(t)) for t in task.needs)
+    with PeakMemory() as memory:
+        began = time.perf_counter()
+        o = task.options
+        m = match(f1, f2, mutual=o.mutual, max_ratio=o.max_ratio, max_distance=o.max_distance)
+        seconds = time.perf_counter() - began
+    arrays = {"index1": m.index1, "index2": m.index2, "distance": m.distance, "ratio": m.ratio}
+    return Entry(task.key, {"operator": task.operator, "seconds": seconds, "peak_mb": memory.mb}, arrays)
+
+
+def estimate_combination(
+    task: EstimateTask, combination: tuple[str, ...], jobs: list[Job], store: Store
+) -> list[Entry]:
+    """Stages 2, fusion, and 3: all seeds of one combination, which share the fused matches.
+
+    The operators go in the order of their names, so that a combination has one result whatever order it is written in.
+    """
+    features: dict[str, tuple[Features, Features]] = {}
+    matches: dict[str, Matches] = {}
+    seconds = {"detect": 0.0, "match": 0.0}
+    peak = 0.0
+    for name in sorted(combination):
+        recipe = task.matches[name]
+        made, *found = store.result(recipe), *(store.result(t) for t in recipe.needs)
+        matches[name] = Matches(**made.arrays)
+        features[name] = (features_of(found[0]), features_of(found[1]))
+        seconds["detect"] += sum(e.meta["seconds"] for e in found)
+        seconds["match"] += made.meta["seconds"]
+        peak = max(peak, *(e.meta["peak_mb"] for e in (made, *found)))
+    began = time.perf_counter()
+    fused = fuse_all(features, matches, task.variant.options.fuse)
+    seconds["fuse"] = time.perf_counter() - began
+    keypoints = [sum(len(pair[k]) for pair in features.values()) for k in (0, 1)]
+    common = {
+        "keypoints": keypoints,
+        "matches": sum(len(m) for m in matches.values()),
+        "correspondences": len(fused),
+    }
+    entries = []
+    for job in jobs:
+        with PeakMemory() as memory, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            began = time.perf_counter()
+            if task.homography:
+                result = _homography(task, features, matches, fused, job.seed)
+            else:
+                result = _two_view(task, fused, job.seed)
+            spent = seconds | {"estimate": time.perf_counter() - began}
+        meta = {**common, **result, "seconds": spent, "peak_mb": max(peak, memory.mb)}
+        entries.append(Entry(job.key, meta))
+    return entries
+
+
+def _homography(
+    task: EstimateTask,
+    features: dict[str, tuple[Features, Features]],
+    matches: dict[str, Matches],
+    fused: Correspondences,
+    seed: int,
+) -> dict[str, Any]:
+    variant = task.variant
+    planar = PAPER_PLANAR if variant.preset == "paper" else PlanarOptions()
+    changed = dict(variant.changes)
+    if "threshold_px" in changed:
+        planar = replace(planar, threshold_px=changed["threshold_px"])
+    r = register_matches(features, matches, options=variant.options, planar=planar, seed=seed, fused=fused)
+    return {
+        "verdict": r.verdict.value,
+        "reason": r.reason,
+        "inliers": int(r.inliers.sum()),
+        "guided": None if r.guided is None else len(r.guided),
+        "H": None if r.H is None else r.H.flatten().tolist(),
+        "R": None,
+        "t": None,
+    }
+
+
+def _two_view(task: EstimateTask, fused: Correspondences, seed: int) -> dict[str, Any]:
+    if task.cameras is None:
+        raise InputError("there is no camera for this pair")
+    options = task.variant.options.estimate
+    view = estimate_two_view(fused, *task.cameras, options, seed=seed)
+    if options.refine:
+        adjusted = adjust(fused, view)
+        view = view if adjusted is None else adjusted.view
+    trusted = view.verdict is not Verdict.TOO_LITTLE
+    return {
+        "verdict": view.verdict.value,
+        "reason": view.reason,
+        "inliers": int(view.inliers.sum()),
+        "guided": None,
+        "H": None,
+        "R": None if view.R is None or not trusted else view.R.flatten().tolist(),
+        "t": None if view.t is None or not trusted else view.t.tolist(),
+    }
+
+
+def as_arrays(entry: Entry) -> dict[str, np.ndarray | None]:
+    """H, R and t of an estimate."""
+    shapes = {"H": (3, 3), "R": (3, 3), "t": (3,)}
+    return {
+        name: None if entry.meta[name] is None else np.array(entry.meta[name]).reshape(shape)
+        for name, shape in shapes.items()
+    }

@@ -1,0 +1,164 @@
+"""The units of work, each with the key of its result.
+
+A task holds the recipe of everything it needs, so any worker can carry it out from scratch; what is in the cache it
+finds instead. Equal recipes have equal keys: that is how 31 combinations of five operators come to need five detections
+an image and five matchings a pair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..options import MatchOptions
+from ..types import Camera
+from .variants import Combination, Setting, Variant
+from .version import digest, stage_version
+
+
+@dataclass(frozen=True)
+class ImageRef:
+    """An image as a task names it.
+
+    Attributes:
+        digest: sha256 of the file's bytes.
+        path: where it lies for those who see the same files.
+        size_wh: pixels, upright.
+    """
+
+    digest: str
+    path: str
+    size_wh: tuple[int, int]
+
+    @property
+    def megapixels(self) -> float:
+        return self.size_wh[0] * self.size_wh[1] / 1e6
+
+
+@dataclass(frozen=True)
+class DetectTask:
+    """One operator on one image."""
+
+    image: ImageRef
+    setting: Setting
+    kind = "features"
+
+    @cached_property
+    def key(self) -> str:
+        return digest("features", stage_version("features"), self.image.digest, self.setting.as_json())
+
+    @property
+    def needs(self) -> tuple[DetectTask, ...]:
+        return ()
+
+    def __str__(self) -> str:
+        return f"{self.setting.operator} on {self.image.path.rpartition('/')[2]}"
+
+
+@dataclass(frozen=True)
+class MatchTask:
+    """One operator's features of two images, matched."""
+
+    first: DetectTask
+    second: DetectTask
+    options: MatchOptions
+    kind = "matches"
+
+    @cached_property
+    def key(self) -> str:
+        o = self.options
+        return digest(
+            "matches",
+            stage_version("matches"),
+            self.first.key,
+            self.second.key,
+            [o.mutual, o.max_ratio, o.max_distance],
+        )
+
+    @property
+    def operator(self) -> str:
+        return self.first.setting.operator
+
+    @property
+    def needs(self) -> tuple[DetectTask, DetectTask]:
+        return (self.first, self.second)
+
+    def __str__(self) -> str:
+        return f"{self.operator} matches"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One estimate: a combination and a seed."""
+
+    combination: Combination
+    seed: int
+    key: str
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateTask:
+    """Some of the estimates of one pair; its result is a shard of the table.
+
+    Attributes:
+        key: of the unit of the plan that it belongs to; a part of a unit keeps it.
+        pair: index of the pair in the plan.
+        homography: a homography is estimated, else the two-view geometry.
+        cameras: of both images, for the two-view geometry.
+        variant: preset and changes.
+        jobs: what to estimate.
+        matches: operator -> its matches.
+    """
+
+    key: str
+    pair: int
+    homography: bool
+    cameras: tuple[Camera, Camera] | None
+    variant: Variant
+    jobs: tuple[Job, ...]
+    matches: dict[str, MatchTask]
+    kind = "estimates"
+
+    @property
+    def needs(self) -> tuple[MatchTask, ...]:
+        return tuple(self.matches.values())
+
+    def only(self, jobs: tuple[Job, ...], key: str | None = None) -> EstimateTask:
+        """The part of this task with these jobs."""
+        used = {o for job in jobs for o in job.combination}
+        matches = {o: m for o, m in self.matches.items() if o in used}
+        return replace(self, key=key or self.key, jobs=jobs, matches=matches)
+
+    def __str__(self) -> str:
+        return f"{len(self.jobs)} estimates"
+
+
+Task = DetectTask | MatchTask | EstimateTask
+
+
+def estimate_key(
+    homography: bool,
+    cameras: tuple[Camera, Camera] | None,
+    variant: Variant,
+    matches: dict[str, MatchTask],
+    combination: Combination,
+    seed: int,
+) -> str:
+    """The key of an estimate. The order of the operators does not count, nor does the truth."""
+    o = variant.options
+    settings: list[Any] = [variant.preset, o.fuse.merge_radius]
+    if homography:
+        settings.append(o.estimate.threshold_px if _changes(variant, "threshold_px") else None)
+    else:
+        e = o.estimate
+        settings += [e.model, e.backend, e.method, e.threshold_px, e.confidence, e.max_iterations, e.refine]
+        settings += [[np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist()] for c in cameras or ()]
+    used = [[name, matches[name].key] for name in sorted(combination)]
+    return digest("estimate", stage_version("estimates"), homography, settings, used, seed)
+
+
+def _changes(variant: Variant, name: str) -> bool:
+    return any(n == name for n, _ in variant.changes)

@@ -1,0 +1,219 @@
+"""What is varied: combinations of operators, presets, and settings of operators and stages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations, product
+from typing import Any
+
+from ..errors import InputError
+from ..features.tables import operator_spec
+from ..options import PRESETS, DetectOptions, Options
+
+JOIN = "/"  # between the operators of a combination; + already joins a detector with a descriptor
+MAX_OPERATORS = 12  # 4,095 combinations
+
+Combination = tuple[str, ...]
+
+# setting of a stage -> the options that hold it
+STAGE_SETTINGS: Mapping[str, str] = {
+    "budget": "detect",
+    "max_size": "detect",
+    "max_ratio": "match",
+    "max_distance": "match",
+    "mutual": "match",
+    "merge_radius": "fuse",
+    "threshold_px": "estimate",
+    "model": "estimate",
+    "backend": "estimate",
+    "confidence": "estimate",
+    "max_iterations": "estimate",
+}
+
+
+def choose_combinations(
+    operators: Sequence[str], combos: str | Sequence[str | Sequence[str]] = "all"
+) -> list[Combination]:
+    """The combinations to run, each in the order of `operators`, small ones first.
+
+    Args:
+        operators: names, in the order that they are to have everywhere.
+        combos: ``all`` (every non-empty subset), ``pairs`` (single operators and every two), ``leave-one-out`` (all
+            together, all but one, and each alone), or a list: ``surf/orb,sift`` as text, or a sequence of such
+            combinations.
+
+    Raises:
+        InputError: unknown operators, too many for ``all``, an empty or unreadable list.
+    """
+    if not operators:
+        raise InputError("name at least one operator, e.g. surf,orb,sift")
+    n = len(operators)
+    if combos in ("all", "pairs", "leave-one-out"):
+        if combos == "all" and n > MAX_OPERATORS:
+            raise InputError(f"{n} operators have {2**n - 1:,} combinations; choose pairs, leave-one-out or a list")
+        sizes = {"all": range(1, n + 1), "pairs": (1, 2), "leave-one-out": (1, n - 1, n)}[str(combos)]
+        found = [c for size in sizes for c in combinations(operators, size)]
+    else:
+        parts = combos.split(",") if isinstance(combos, str) else combos
+        found = [_combination(part, operators) for part in parts if part]
+    found = sorted(dict.fromkeys(c for c in found if c), key=lambda c: (len(c), [operators.index(o) for o in c]))
+    if not found:
+        raise InputError(
+            f"no combination in {combos!r}; use all, pairs, leave-one-out, or a list such as surf/orb,sift"
+        )
+    return found
+
+
+def _combination(part: str | Sequence[str], operators: Sequence[str]) -> Combination:
+    names = part.split(JOIN) if isinstance(part, str) else part
+    members = {operator_spec(name).name for name in names}
+    for name in members:
+        if name not in operators:
+            raise InputError(
+                f"the combination {JOIN.join(names)} has an operator '{name}' that is not among --operators; the choices "
+                f"all, pairs and leave-one-out go by themselves"
+            )
+    return tuple(o for o in operators if o in members)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How one operator is run on an image.
+
+    Attributes:
+        operator: its name.
+        preset, budget, max_size, options: as in :func:`sfmkit.features.detect`.
+    """
+
+    operator: str
+    preset: str
+    budget: int | None
+    max_size: int | None
+    options: tuple[tuple[str, Any], ...] = ()
+
+    def as_json(self) -> list[Any]:
+        return [self.operator, self.preset, self.budget, self.max_size, [list(o) for o in self.options]]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A preset with some settings changed.
+
+    Attributes:
+        preset: ``default`` or ``paper``.
+        changes: (name, value); a name is a stage's setting or ``operator.option``.
+    """
+
+    preset: str
+    changes: tuple[tuple[str, Any], ...] = ()
+
+    def of(self, combination: Combination) -> Variant:
+        """This variant, less the changes to operators that are not in the combination."""
+        return replace(self, changes=tuple(c for c in self.changes if c[0].rpartition(".")[0] in ("", *combination)))
+
+    @property
+    def vary(self) -> str:
+        """The changes as JSON."""
+        return json.dumps(dict(self.changes))
+
+    @property
+    def options(self) -> Options:
+        return _options(self)
+
+    def setting(self, operator: str) -> Setting:
+        detect: DetectOptions = self.options.detect
+        mine = dict(detect.overrides.get(operator, {}))
+        for name, value in self.changes:
+            owner, _, option = name.rpartition(".")
+            if owner == operator:
+                mine[option] = value
+        return Setting(operator, detect.preset, detect.budget, detect.max_size, tuple(sorted(mine.items())))
+
+
+@cache
+def _options(variant: Variant) -> Options:
+    options = PRESETS[variant.preset]
+    for name, value in variant.changes:
+        if "." not in name:
+            stage = STAGE_SETTINGS[name]
+            options = replace(options, **{stage: replace(getattr(options, stage), **{name: value})})
+    return options
+
+
+def choose_variants(
+    presets: Sequence[str], vary: Mapping[str, Sequence[Any]] | None, operators: Sequence[str]
+) -> list[Variant]:
+    """Every preset with every combination of the varied values.
+
+    Args:
+        presets: ``default``, ``paper``, in any case.
+        vary: name -> values. A name is a stage's setting (:data:`STAGE_SETTINGS`), ``operator.option``, or the
+            beginning of either that only one has: ``hessian`` for ``surf.hessian_threshold``.
+
+    Raises:
+        InputError: unknown presets; unknown or ambiguous names, no values, or values of another type.
+    """
+    chosen = list(dict.fromkeys(str(p).strip().lower() for p in presets))
+    for preset in chosen:
+        if preset not in PRESETS:
+            raise InputError(f"unknown preset '{preset}'; there are {', '.join(PRESETS)}")
+    if not chosen:
+        raise InputError(f"name a preset: {', '.join(PRESETS)}")
+    defaults = _settings_with_defaults(operators)
+    axes = []
+    for word, values in (vary or {}).items():
+        name = _resolve(word, defaults)
+        if isinstance(values, str) or not len(tuple(values)):
+            raise InputError(f"--vary {word}: give at least one value, e.g. {word}=30,100")
+        axes.append([(name, _typed(name, value, defaults[name])) for value in dict.fromkeys(values)])
+    return [Variant(preset, changes) for preset in chosen for changes in product(*axes)]
+
+
+def parse_vary(texts: Sequence[str]) -> dict[str, list[str]]:
+    """``["hessian=30,100"]`` as ``{"hessian": ["30", "100"]}``."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        name, equals, values = text.partition("=")
+        if not equals or not name.strip():
+            raise InputError(f"--vary takes NAME=VALUE,VALUE,..., not {text!r}")
+        found[name.strip()] = [v.strip() for v in values.split(",") if v.strip()]
+    return found
+
+
+def _settings_with_defaults(operators: Sequence[str]) -> dict[str, Any]:
+    stage = {name: getattr(getattr(PRESETS["default"], group), name) for name, group in STAGE_SETTINGS.items()}
+    return stage | {f"{o}.{option}": value for o in operators for option, value in operator_spec(o).options.items()}
+
+
+def _resolve(word: str, defaults: Mapping[str, Any]) -> str:
+    if word in defaults:
+        return word
+    near = [name for name in defaults if name.startswith(word) or name.partition(".")[2].startswith(word)]
+    if len(near) == 1:
+        return near[0]
+    what = f"may be {', '.join(near)}" if near else f"is none of {', '.join(defaults)}"
+    raise InputError(f"--vary {word}: the name {what}")
+
+
+def _typed(name: str, value: Any, default: Any) -> Any:
+    """`value`, which may be text, of the type of the setting; ``none`` where there may be none."""
+    text = str(value).strip().lower()
+    if text in ("none", "null"):
+        return None
+    if isinstance(default, bool):
+        if text not in ("true", "false", "on", "off"):
+            raise InputError(f"--vary {name}: {value!r} is not true or false")
+        return text in ("true", "on")
+    if isinstance(default, str):
+        return str(value).strip()
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"--vary {name}: {value!r} is no number") from None
+    whole = isinstance(default, int) or name == "max_size"
+    if whole and number != int(number):
+        raise InputError(f"--vary {name}: {value!r} is no whole number")
+    return int(number) if whole else number

@@ -1,0 +1,93 @@
+"""What a sweep shows while it runs and when it is done, in a terminal or a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+from rich.table import Table
+from rich.text import Text
+
+from .run import Progress, Watcher
+from .table import FAILED, AblationTable
+
+_LONGEST = 30  # combinations in the overview
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: ``45 s``, ``12 min``, ``3.5 h``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+class _Left(ProgressColumn):
+    """The time left, as the sweep estimates it."""
+
+    def render(self, task: Task) -> Text:
+        left = task.fields.get("left")
+        return Text("" if left is None else f"{duration(left)} left")
+
+
+@contextmanager
+def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watcher]:
+    """A progress bar for ``ablate(progress=...)``; works in a terminal and in a notebook.
+
+    >>> with bar() as watch:
+    ...     table = ablate("planes", progress=watch)
+    """
+    if not enabled:
+        yield lambda progress: None
+        return
+    columns = (
+        TextColumn("{task.fields[stage]:<5}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), _Left(),
+        TextColumn("{task.description}"),
+    )  # fmt: skip
+    with Bars(*columns, console=console) as bars:
+        task = bars.add_task("", total=None, stage="plan", left=None)
+
+        def watch(p: Progress) -> None:
+            for note in p.notes:
+                bars.console.print(note, style="yellow", highlight=False)
+            counts = {"completed": p.done, "total": p.total} if p.total else {}
+            bars.update(task, description=p.what, stage=p.stage, left=p.seconds_left, **counts)  # type: ignore[arg-type]
+
+        yield watch
+
+
+def print_overview(table: AblationTable) -> None:
+    """A line for each data set and combination: the median error, and how often there was none."""
+    groups: dict[tuple[str, str, str], list[dict]] = {}
+    for row in table:
+        groups.setdefault((row["dataset"], row["combination"], row["preset"]), []).append(row)
+    console = Console()
+    shown = Table("data", "combination", "preset", "median error", "no estimate", "failed", "inliers", "seconds")
+    for column in shown.columns[3:]:
+        column.justify = "right"
+    best = sorted(groups.items(), key=lambda item: (item[0][0], _median_error(item[1])))
+    for (dataset, combination, preset), rows in best[:_LONGEST]:
+        error = _median_error(rows)
+        failed = sum(r["status"] == FAILED for r in rows)
+        none = sum(r["status"] not in (FAILED, "ok") for r in rows)
+        inliers = np.median([r["inliers"] for r in rows if r["inliers"] is not None] or [0])
+        seconds = np.median([r["seconds"] for r in rows if r["seconds"] is not None] or [0])
+        unit = rows[0]["error_unit"]
+        shown.add_row(
+            dataset, combination, preset, "-" if np.isinf(error) else f"{error:.3g} {unit}", f"{none} of {len(rows)}",
+            f"{failed}", f"{inliers:,.0f}", f"{seconds:.2f}",
+        )  # fmt: skip
+    console.print(shown)
+    if len(best) > _LONGEST:
+        console.print(f"... and {len(best) - _LONGEST} more lines")
+    reasons = {f"{r['dataset']}/{r['sequence']} {r['pair']}: {r['failure']}" for r in table if r["status"] == FAILED}
+    for reason in sorted(reasons)[:5]:
+        console.print(reason, style="yellow", highlight=False)
+
+
+def _median_error(rows: list[dict]) -> float:
+    known = [r["error"] for r in rows if r["error"] is not None]
+    return float(np.median(known)) if known else float("inf")

@@ -1,0 +1,192 @@
+"""A worker: takes a task, carries it out on one thread, and says how it went.
+
+The same function runs in local processes and on a Dask cluster. :func:`main` is the local kind: it reads tasks from its
+input and writes outcomes to its output until the input ends, which it also does when whoever started it is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import signal
+import struct
+import sys
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+from ..errors import OutputError
+from .cache import Cache
+from .entry import Entry
+from .stages import Store, estimate_combination
+from .tasks import EstimateTask, Job, Task
+from .version import engine_version, versions
+
+_busy = threading.Lock()  # random numbers of OpenCV and the memory's peak belong to the process
+_kept: OrderedDict[str, Entry] = OrderedDict()
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a worker has to know besides its task.
+
+    Attributes:
+        version: :func:`~.version.engine_version` of whoever plans.
+        cache: folder that all workers see; None where they share no files and results travel as bytes.
+    """
+
+    version: str
+    cache: str | None
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """What travels with a task where files are not shared: digest of an image, or key of a result -> its bytes."""
+
+    images: Mapping[str, bytes] = field(default_factory=dict)
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task went.
+
+    Attributes:
+        status: ``done``; ``failed`` for this task only; ``full`` where nothing can be written; ``refused`` by a worker of
+            another version.
+        reason: of a failure.
+        seconds: wall time.
+        estimates: key of a job -> its result, or the reason of its failure as text.
+        data: the result's bytes, where they travel.
+        notes: what the user should hear of.
+        machine: where it ran.
+    """
+
+    status: Literal["done", "failed", "full", "refused"]
+    reason: str = ""
+    seconds: float = 0.0
+    estimates: Mapping[str, dict[str, Any] | str] = field(default_factory=dict)
+    data: bytes | None = None
+    notes: tuple[str, ...] = ()
+    machine: str = ""
+
+
+def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
+    """Carry out a task. Raises nothing: whatever goes wrong is the outcome."""
+    began = time.perf_counter()
+    if setup.version != engine_version():
+        return Outcome(
+            "refused",
+            f"the worker on {platform.node()} runs {engine_version()}, this sweep was planned by {setup.version}; install "
+            "the same version everywhere",
+        )
+    parcel = parcel or Parcel()
+    notes: list[str] = []
+    with _busy:
+        one_thread()
+        store = Store(
+            Cache(setup.cache) if setup.cache else None, parcel.inputs, parcel.images, notes.append, kept=_kept
+        )
+        estimates: dict[str, dict[str, Any] | str] = {}
+        data = None
+        try:
+            if isinstance(task, EstimateTask):
+                estimates = _estimate(task, store)
+            else:
+                entry = store.result(task)
+                data = None if setup.cache else entry.to_bytes()
+        except OutputError as error:
+            return Outcome("full", str(error))
+        except Exception as error:
+            return Outcome("failed", reason_of(error), time.perf_counter() - began, machine=machine())
+    return Outcome("done", "", time.perf_counter() - began, estimates, data, tuple(notes), machine())
+
+
+def _estimate(task: EstimateTask, store: Store) -> dict[str, dict[str, Any] | str]:
+    """The jobs of a task. Each is in the cache as soon as it is done."""
+    found: dict[str, dict[str, Any] | str] = {}
+    by_combination: dict[tuple[str, ...], list[Job]] = {}
+    for job in task.jobs:
+        entry = None if store.cache is None else store.cache.get("estimates", job.key, store.say)
+        if entry is None:
+            by_combination.setdefault(job.combination, []).append(job)
+        else:
+            found[job.key] = dict(entry.meta)
+    for combination, jobs in by_combination.items():
+        try:
+            for entry in estimate_combination(task, combination, jobs, store):
+                found[entry.key] = {**entry.meta, "machine": machine(), "versions": versions()}
+                if store.cache is not None:
+                    store.cache.put("estimates", Entry(entry.key, found[entry.key]))  # type: ignore[arg-type]
+        except OutputError:
+            raise
+        except Exception as error:
+            found |= {job.key: reason_of(error) for job in jobs if job.key not in found}
+    return found
+
+
+def reason_of(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def one_thread() -> None:
+    """This thread computes on one core. Said again before every task: torch's setting belongs to the thread."""
+    import cv2
+    import torch
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+@cache
+def machine() -> str:
+    """Processor, cores, system and Python, in a line."""
+    cpu = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return f"{cpu}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+_LENGTH = struct.Struct("!Q")
+
+
+def send(stream: BinaryIO, message: Any) -> None:
+    data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> Any:
+    """The next message.
+
+    Raises:
+        EOFError: there is none any more.
+    """
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        raise EOFError
+    (length,) = _LENGTH.unpack(head)
+    data = stream.read(length)
+    if len(data) < length:
+        raise EOFError
+    return pickle.loads(data)
+
+
+def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the work
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not end up among the answers
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            task, setup = receive(sys.stdin.buffer)
+            send(answers, perform(task, setup))
