@@ -22,7 +22,6 @@ COMMANDS = {
     "lab": ("lab", "lab"),
     "bench": ("bench", "bench"),
     "density": ("density", "density"),
-    "compare": ("compare", "compare"),
     "ablate": ("ablate", "ablate"),
     "cache": ("cache", "cache"),
 }

@@ -37,19 +37,22 @@ def write_ply(path: str | os.PathLike, cloud: PointCloud, fields: Mapping[str, T
     - ``cxx cxy cxz cyy cyz czz`` float, where the cloud has covariances;
     - `fields`, float: names and (M,) tensors of whatever else there is to say of a point, e.g. a density.
 
+    A foreign cloud, one without operators, has neither provenance nor a known frame, and none is written.
+
     Raises:
         OutputError: the file cannot be written.
     """
     mask = cloud.operator_mask
     columns: dict[str, tuple[str, Tensor]] = {name: ("<f4", cloud.xyz[:, k]) for k, name in enumerate("xyz")}
     columns |= {name: ("u1", cloud.rgb[:, k]) for k, name in enumerate(("red", "green", "blue"))}
-    columns["operators"] = ("<u4", mask & 0xFFFFFFFF)
-    if len(cloud.operators) > 32:
-        columns["operators_high"] = ("<u4", mask >> 32)
-    columns["operator"] = ("u1", cloud.operator_id)
-    columns["match"] = ("<i4", cloud.match)
-    columns["reprojection_error"] = ("<f4", cloud.reprojection_error)
-    columns["parallax"] = ("<f4", cloud.parallax)
+    if cloud.operators:
+        columns["operators"] = ("<u4", mask & 0xFFFFFFFF)
+        if len(cloud.operators) > 32:
+            columns["operators_high"] = ("<u4", mask >> 32)
+        columns["operator"] = ("u1", cloud.operator_id)
+        columns["match"] = ("<i4", cloud.match)
+        columns["reprojection_error"] = ("<f4", cloud.reprojection_error)
+        columns["parallax"] = ("<f4", cloud.parallax)
     if cloud.covariance is not None:
         columns |= {name: ("<f4", cloud.covariance[:, i, j]) for name, (i, j) in _COVARIANCE.items()}
     columns |= {name: ("<f4", values) for name, values in (fields or {}).items()}
@@ -57,7 +60,7 @@ def write_ply(path: str | os.PathLike, cloud: PointCloud, fields: Mapping[str, T
     vertices = np.empty(len(cloud), dtype=[(name, kind) for name, (kind, _) in columns.items()])
     for name, (_, values) in columns.items():
         vertices[name] = values.detach().cpu().numpy()
-    comments = ["sfmkit: frame of camera 1, x right, y down, z forward, in baselines"]
+    comments = ["sfmkit: frame of camera 1, x right, y down, z forward, in baselines"] if cloud.operators else []
     comments += [f"{_BIT}{k} = {name}" for k, name in enumerate(cloud.operators)]
     element = PlyElement.describe(vertices, "vertex")
     with atomic_write(path) as temporary:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -15,6 +17,7 @@ from ..types import Features, PointCloud
 from .colours import operator_colour
 
 GREY = "#808080"
+MAX_DOTS = 200_000  # points of a cloud that a picture can show
 
 
 def photographs(*images: Any, titles: Sequence[str] = (), height: float = 4.0) -> tuple[Figure, list[Axes]]:
@@ -116,10 +119,17 @@ def epipolar_figure(
     return figure
 
 
+def unit_of(cloud: PointCloud) -> str:
+    """The unit of a cloud's lengths to write after a number: baselines in ours, in others what nobody tells us."""
+    return " baselines" if cloud.operators else ""
+
+
 def cloud_figure(
     cloud: PointCloud, *, colour: Any | None = None, label: str = "", cameras: Any | None = None
 ) -> Figure:
-    """The cloud from camera 1's side and from above, lengths in baselines.
+    """The cloud from camera 1's side and from above; a foreign one, whose frame is not known, along z and along y.
+
+    Of a large cloud at most 200,000 points are drawn, and none beyond the inner 98 % in any direction.
 
     Args:
         colour: (M,) numbers to colour the points by, None for the photograph's colours.
@@ -128,22 +138,27 @@ def cloud_figure(
     """
     X = cloud.xyz.numpy()
     low, high = np.percentile(X, (1, 99), axis=0)
-    near = ((low <= X) & (high >= X)).all(1)
+    near = np.flatnonzero(((low <= X) & (high >= X)).all(1)) if len(X) > 2 else np.arange(len(X))
+    near = near[:: -(-len(near) // MAX_DOTS) or 1]
+    X = X[near]
     shades = cloud.rgb.numpy()[near] / 255 if colour is None else np.asarray(colour)[near]
+    ours = bool(cloud.operators)
     figure = Figure(figsize=(12, 4.6), layout="constrained")
     axes = figure.subplots(1, 2)
-    for ax, j, title in zip(axes, (1, 2), ("from camera 1", "from above")):
-        order = np.argsort(-X[near][:, 2] if j == 1 else -X[near][:, 1])
+    unit = f" ({unit_of(cloud).strip()})" if ours else ""
+    size = float(np.clip(40_000 / max(len(X), 1), 0.5, 4))
+    for ax, j, title in zip(axes, (1, 2), ("from camera 1", "from above") if ours else ("along z", "along y")):
+        order = np.argsort(-X[:, 2] if j == 1 else -X[:, 1])
         dots = ax.scatter(
-            X[near][order, 0],
-            X[near][order, j],
+            X[order, 0],
+            X[order, j],
             c=shades[order],
-            s=4,
+            s=size,
             linewidths=0,
             cmap=None if colour is None else "cividis",
         )
-        ax.set(aspect="equal", xlabel="x (baselines)", ylabel=f"{'xyz'[j]} (baselines)", title=title)
-        if j == 1:
+        ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{unit}", title=title)
+        if j == 1 and ours:
             ax.invert_yaxis()
     if cameras is not None:
         for number, (x, _, z) in enumerate(np.asarray(cameras), start=1):
@@ -152,3 +167,9 @@ def cloud_figure(
     if colour is not None:
         figure.colorbar(dots, ax=axes, label=label)
     return figure
+
+
+def save(figure: Figure, path: str | Path, dpi: int = 110) -> None:
+    """Write a figure as a picture, off screen."""
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=dpi)
