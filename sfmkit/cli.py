@@ -21,6 +21,7 @@ COMMANDS = {
     "data": ("data", "data"),
     "lab": ("lab", "lab"),
     "bench": ("bench", "bench"),
+    "report": ("report", "report"),
     "density": ("density", "density"),
     "ablate": ("ablate", "ablate"),
     "cache": ("cache", "cache"),
