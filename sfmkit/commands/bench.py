@@ -38,6 +38,16 @@ DATA = click.option(
 )
 
 
+def PRESETS(default: str) -> Callable:
+    """The option --presets with its default."""
+    return click.option("--presets", default=default, show_default=True, callback=_names, help="Recipes to compare.")
+
+
+MAX_SIZE = click.option(
+    "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
+)
+
+
 def OUT(name: str) -> Callable:
     """The option --out with its default."""
     return click.option(
@@ -74,13 +84,9 @@ def oxford(
 @bench.command()
 @click.option("--pairs", callback=_names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours.")
 @OPERATORS
-@click.option(
-    "--presets", default="paper,default,dense", show_default=True, callback=_names, help="Recipes to compare."
-)
+@PRESETS("paper,default,dense")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
-@click.option(
-    "--max-size", type=click.IntRange(min=16), metavar="PX", help="Detect on images reduced to this longest side."
-)
+@MAX_SIZE
 @OUT("fountain")
 @DATA
 def fountain(
@@ -102,6 +108,47 @@ def fountain(
             progress=report,
         )  # fmt: skip
     hand_over(out, fountain_result(rows, out, command_line()))
+
+
+@bench.command()
+@click.option("--sequence", metavar="NAME", help="Folder below uav/; default: the first.")
+@click.option("--step", type=int, metavar="N", help="How far apart photographs of a wide pair are.  [default: 4]")
+@click.option(
+    "--box", metavar="X0,Y0,X1,Y1", help="The target, pixels of the first photograph; default: its middle third."
+)
+@OPERATORS
+@PRESETS("default,dense")
+@MAX_SIZE
+@click.option("--colmap/--no-colmap", default=True, show_default=True, help="Run COLMAP too (the peers extra).")
+@click.option(
+    "--cloud", "clouds", multiple=True, type=click.Path(path_type=Path), metavar="PLY",
+    help="Another program's cloud of the same scene; may be given several times.",
+)  # fmt: skip
+@OUT("uav")
+@DATA
+def uav(
+    sequence: str | None,
+    step: int | None,
+    box: str | None,
+    operators: tuple[str, ...],
+    presets: tuple[str, ...],
+    max_size: int | None,
+    colmap: bool,
+    clouds: tuple[Path, ...],
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Tables 7 and 8: drone photographs, small shift and wide baseline, beside COLMAP and others' clouds."""
+    from ..evaluation.uav import bench_uav, open_flight, parse_box
+    from ..evaluation.uav_tables import uav_result
+
+    with parts_bar("uav") as report:
+        rows = bench_uav(
+            out, data=data, sequence=sequence, step=step, box=box, operators=operators, presets=presets,
+            max_size=max_size, colmap=colmap, clouds=clouds, progress=report,
+        )  # fmt: skip
+    flight = open_flight(data, sequence, step)
+    hand_over(out, uav_result(rows, flight, parse_box(box, flight.camera.size_wh), out, command_line()))
 
 
 def command_line() -> str:

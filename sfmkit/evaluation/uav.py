@@ -1,0 +1,238 @@
+"""The drone benchmark: small shift and wide baseline, beside a photogrammetry program run on the same photographs."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace as changed
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from .. import __version__
+from ..cameras import camera_from_exif
+from ..cloud import read_ply, write_ply
+from ..datasets.pairs import Pair
+from ..datasets.uav import uav
+from ..errors import InputError
+from ..features.tables import operator_spec
+from ..geometry.reprojection import project
+from ..images import read_image
+from ..options import PRESETS
+from ..pipeline import OPERATORS_OF_THE_PAPER, reconstruct
+from ..types import Camera, PointCloud
+from . import colmap_peer
+from .rows import Progress, Row, RowStore
+
+SMALL, WIDE = "small shift", "wide baseline"
+WIDE_STEP = 4  # photographs between those of a wide pair, where there are as many
+PAIR_OF, ALL_OF = "2", "all"  # what COLMAP is given
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The photographs of a flight, and its pairs case by case; the first pair of each begins with the first photograph."""
+
+    photographs: tuple[Path, ...]
+    cases: dict[str, list[Pair]]
+    camera: Camera
+
+
+def open_flight(data: str | os.PathLike | None, sequence: str | None, step: int | None) -> Flight:
+    """The photographs of a sequence (None: the first), their camera by EXIF, and the pairs 1 and `step` apart.
+
+    Raises:
+        InputError: missing data, too few photographs, no focal length in EXIF.
+    """
+    near = list(uav(data, None if sequence is None else [sequence]))
+    near = [pair for pair in near if pair.sequence == near[0].sequence]
+    photographs = (near[0].image1, *(pair.image2 for pair in near))
+    if step is not None and step < 2:
+        raise InputError(f"a wide baseline takes photographs at least 2 apart, not {step}")
+    step = min(WIDE_STEP, len(photographs) - 1) if step is None else step
+    cases = {SMALL: near}
+    if step > 1:
+        cases[WIDE] = list(uav(data, [near[0].sequence], step))
+    camera = camera_from_exif(read_image(photographs[0]))  # type: ignore[arg-type]
+    return Flight(photographs, cases, camera)  # type: ignore[arg-type]
+
+
+def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
+    """``X0,Y0,X1,Y1`` in pixels of the first photograph; None: the middle third of it in both directions.
+
+    Raises:
+        InputError: not four numbers, an empty box, or one outside the photograph.
+    """
+    w, h = size_wh
+    if text is None:
+        return (w / 3, h / 3, 2 * w / 3, 2 * h / 3)
+    try:
+        x0, y0, x1, y1 = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--box takes four numbers X0,Y0,X1,Y1, left, top, right and bottom in pixels of the first photograph, e.g. "
+            f"{w // 3},{h // 3},{2 * w // 3},{2 * h // 3}; not {text!r}"
+        ) from None
+    if not all(math.isfinite(v) for v in (x0, y0, x1, y1)) or not (x0 < x1 and y0 < y1):
+        raise InputError(f"--box {text} is empty: X0 must be less than X1, and Y0 less than Y1")
+    if x1 <= 0 or y1 <= 0 or x0 >= w or y0 >= h:
+        raise InputError(f"--box {text} lies outside the first photograph, which has {w} x {h} pixels")
+    return (x0, y0, x1, y1)
+
+
+def inside_box(cloud: PointCloud, camera: Camera, box: Box) -> np.ndarray:
+    """(M,) bool: the points in front of camera 1 that the box in its photograph shows."""
+    X = cloud.xyz
+    ahead = X[:, 2] > 0
+    x = project(torch.where(ahead[:, None], X, torch.ones_like(X)), camera.tensors()[0])
+    x0, y0, x1, y1 = box
+    inside = ahead & (x[:, 0] >= x0) & (x[:, 0] <= x1) & (x[:, 1] >= y0) & (x[:, 1] <= y1)
+    return inside.numpy()
+
+
+def bench_uav(
+    out: str | os.PathLike,
+    *,
+    data: str | os.PathLike | None = None,
+    sequence: str | None = None,
+    step: int | None = None,
+    box: str | None = None,
+    operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    presets: Sequence[str] = ("default", "dense"),
+    max_size: int | None = None,
+    colmap: bool = True,
+    clouds: Sequence[str | os.PathLike] = (),
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Run what is missing of the benchmark and return all of its rows.
+
+    Args:
+        out: folder for ``rows.jsonl`` and the clouds of the first pairs as PLY.
+        data, sequence: see :func:`sfmkit.datasets.uav.uav`; None for the first flight that is there.
+        step: how far apart the photographs of a wide pair are; None for 4, or as many as there are.
+        box: the target in the first photograph, see :func:`parse_box`.
+        presets: names of :data:`sfmkit.options.PRESETS`: all for the first pair of each case, the first for the others.
+        max_size: longest side in pixels at which features are searched; None for full size.
+        colmap: also run COLMAP on the first pair of each case and on all photographs.
+        clouds: PLY files of other programs, of the same scene.
+
+    Returns:
+        Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target, seconds), ``colmap`` (case,
+        given -> placed, points, target, seconds; ``missing`` where pycolmap is) and ``given`` (file, case -> points, target).
+
+    Raises:
+        InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with other settings.
+    """
+    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    for name in presets:
+        if name not in PRESETS:
+            raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
+    flight = open_flight(data, sequence, step)
+    target = parse_box(box, flight.camera.size_wh)
+    given = {str(path): read_ply(path) for path in clouds}
+    settings = {
+        "version": __version__, "operators": list(operators), "max_size": max_size, "box": list(target),
+        "sequence": flight.cases[SMALL][0].sequence, "photographs": len(flight.photographs),
+    }  # fmt: skip
+    out = Path(out)
+    store = RowStore(out / "rows.jsonl", settings)
+    rows = store.read()
+    have = {(r["kind"], r["case"], r.get("pair", r.get("given")), r.get("preset")) for r in rows}
+    parts: list[tuple[str, str, Pair | str, str | None]] = [
+        ("pair", case, pair, preset)
+        for case, pairs in flight.cases.items()
+        for pair in pairs
+        for preset in (presets if pair is pairs[0] else presets[:1])
+    ]
+    if colmap:
+        parts += [("colmap", case, PAIR_OF, None) for case in flight.cases] + [("colmap", SMALL, ALL_OF, None)]
+    for done, (kind, case, what, preset) in enumerate(parts):
+        label = what.name if isinstance(what, Pair) else what
+        if progress is not None:
+            progress(done, len(parts), f"{case}, {f'{label}, {preset}' if preset else f'COLMAP, {label} photographs'}")
+        if (kind, case, label, preset) in have:
+            continue
+        if isinstance(what, Pair):
+            first = what is flight.cases[case][0]
+            row = _pair_row(case, what, operators, str(preset), max_size, target, flight.camera, out if first else None)
+        else:
+            row = _colmap_row(case, what, flight, target, out)
+        if "missing" not in row:  # tried again next time
+            store.append([row])
+        rows.append(row)
+    rows = [r for r in rows if r.get("preset") in (None, *presets) and (colmap or r["kind"] != "colmap")]
+    for path, cloud in given.items():
+        rows += _given_rows(Path(path), cloud, flight, presets, target, out)
+    if progress is not None:
+        progress(len(parts), len(parts), "")
+    return rows
+
+
+def ply_name(case: str, what: str) -> str:
+    """File of a cloud of a case's first pair, by a preset or by COLMAP."""
+    return f"{case.replace(' ', '-')}-{what}.ply"
+
+
+def _pair_row(
+    case: str, pair: Pair, operators: Sequence[str], preset: str, max_size: int | None, box: Box, camera: Camera,
+    out: Path | None,
+) -> Row:  # fmt: skip
+    options = PRESETS[preset]
+    options = changed(options, detect=changed(options.detect, max_size=max_size))
+    result = reconstruct(pair.image1, pair.image2, operators=operators, options=options)
+    cloud, line = result.cloud, result.account["multi"]
+    row: Row = {
+        "kind": "pair", "case": case, "pair": pair.name, "preset": preset, "verdict": result.two_view.verdict.value,
+        "camera": camera.source, "size_wh": list(camera.size_wh), "initial": line.initial, "points": line.points,
+        "target": None, "reprojection_rmse_px": result.reprojection_rmse_px, "sigma_deg": result.two_view.sigma_deg,
+        "seconds": result.timings_s["total"],
+    }  # fmt: skip
+    if out is not None and cloud is not None and len(cloud):
+        row["target"] = int(inside_box(cloud, camera, box).sum())
+        write_ply(out / ply_name(case, preset), cloud)
+    return row
+
+
+def _colmap_row(case: str, given: str, flight: Flight, box: Box, out: Path) -> Row:
+    first = flight.cases[case][0]
+    images = [first.image1, first.image2]
+    if given == ALL_OF:
+        images += [path for path in flight.photographs if path not in images]
+    row: Row = {
+        "kind": "colmap",
+        "case": case,
+        "given": given,
+        "images": [0, len(images)],
+        "points": None,
+        "target": None,
+    }
+    try:
+        model = colmap_peer.reconstruct(images, flight.camera)  # type: ignore[arg-type]
+    except InputError as error:
+        return row | {"missing": str(error)}
+    row |= {"images": list(model.images), "seconds": dict(model.seconds), "points": 0}
+    if model.cloud is not None:
+        row |= {"points": len(model.cloud), "target": int(inside_box(model.cloud, flight.camera, box).sum())}
+        write_ply(out / ply_name(case, f"colmap-{given}"), model.cloud)
+    return row
+
+
+def _given_rows(
+    path: Path, cloud: PointCloud, flight: Flight, presets: Sequence[str], box: Box, out: Path
+) -> list[Row]:
+    """A cloud of another program, laid over ours of each case, which has the scale and the frame of camera 1."""
+    rows = []
+    for case in flight.cases:
+        row: Row = {"kind": "given", "case": case, "file": path.name, "points": len(cloud), "target": None}
+        ours = next((out / ply_name(case, p) for p in reversed(presets) if (out / ply_name(case, p)).exists()), None)
+        if ours is not None:
+            from ..compare import align  # heavy, and needed for foreign clouds only
+
+            row |= {"note": str(align)}
+        rows.append(row)
+    return rows

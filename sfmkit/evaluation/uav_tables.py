@@ -1,0 +1,144 @@
+"""The paper's Tables 7 and 8 from the rows of the drone benchmark, with pictures of the clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ..cloud import read_ply
+from ..images import read_image
+from ..viz.splats import splat
+from ..writing import atomic_write
+from .paper import UAV
+from .result import Cell, Column, Result, ResultFigure, ResultTable
+from .rows import Row
+from .uav import ALL_OF, SMALL, WIDE, Box, Flight, ply_name
+
+_TABLES = {SMALL: 7, WIDE: 8}
+_PRESETS = {"default": "sfmkit, default preset", "dense": "sfmkit, dense preset", "paper": "sfmkit, the paper's recipe"}
+_PITCH_DEG = -25.0  # of the pictures
+_WIDTH = 800  # pixels of a photograph or cloud in the figures
+
+
+def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, command: str) -> Result:
+    """Tables of a benchmark's rows, and figures drawn into `folder`."""
+    cases = [case for case in _TABLES if case in flight.cases]
+    pair = flight.cases[SMALL][0]
+    camera = next(r["camera"] for r in rows if r["kind"] == "pair")
+    return Result(
+        name="uav",
+        title=f"Drone photographs {pair.sequence}: {len(flight.photographs)} of {' x '.join(map(str, flight.camera.size_wh))} pixels",
+        command=command,
+        tables=(*(_case_table(rows, flight, case) for case in cases), _pairs_table(rows, cases)),
+        figures=(_draw_target(flight, box, folder), *(_draw_clouds(rows, flight, case, folder) for case in cases)),
+        seeds=(0,),
+        notes=(
+            "The paper's photographs, of an antenna, are not public: its lines are of another scene, there to compare the "
+            "kind of figures, not the figures. Its MicMac ran on 31 and 93 photographs.",
+            f"The camera is the photographs' own: {camera}. COLMAP is given the same one and holds it; it keeps the points "
+            "that two photographs only show, as ours all are. It leaves out those seen under less than 1.5 degrees.",
+            f"Target: the points that the box {', '.join(f'{v:.0f}' for v in box)} of the first photograph shows. "
+            "Seconds: from reading the photographs to the cloud, libraries loaded, once, under the load stated.",
+        ),
+    )  # fmt: skip
+
+
+def _case_table(rows: Sequence[Row], flight: Flight, case: str) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    first = flight.cases[case][0]
+    for r in rows:
+        if r["kind"] == "pair" and r["case"] == case and r["pair"] == first.name:
+            lines.append((_PRESETS.get(r["preset"], r["preset"]), 2, r["seconds"], r["points"], r["target"]))
+        elif r["kind"] == "colmap" and (r["case"] == case or r["given"] == ALL_OF):
+            if "missing" in r:
+                lines.append((f"COLMAP, not run: {r['missing']}", None, None, None, None))
+                continue
+            placed, given = r["images"]
+            label = "COLMAP" if placed == given else f"COLMAP, {placed} placed"
+            lines.append((label, given, sum(r["seconds"].values()), r["points"], r["target"]))
+        elif r["kind"] == "given" and r["case"] == case:
+            lines.append(
+                (r["file"] + (f": {r['note']}" if r.get("note") else ""), None, None, r["points"], r["target"])
+            )
+    for who, (images, minutes, points, antenna) in UAV[case].items():
+        lines.append((f"the paper: {who}, antenna", images, None if minutes is None else 60 * minutes, points, antenna))
+    columns = (
+        Column("method"), Column("photographs", ","), Column("seconds", ",.1f"), Column("points", ","),
+        Column("points of the target", ","),
+    )  # fmt: skip
+    number = _TABLES[case]
+    return ResultTable(f"table-{number}", f"Table {number}: {case}, pair {first.name}", columns, tuple(lines))
+
+
+def _pairs_table(rows: Sequence[Row], cases: Sequence[str]) -> ResultTable:
+    lines = [
+        (
+            r["case"], r["pair"], r["preset"], r["verdict"], r["initial"], r["points"],
+            100 * (1 - r["points"] / r["initial"]) if r["initial"] else None, r["reprojection_rmse_px"],
+            *(r["sigma_deg"] or (None, None)), r["seconds"],
+        )
+        for case in cases for r in rows if r["kind"] == "pair" and r["case"] == case
+    ]  # fmt: skip
+    columns = (
+        Column("case"), Column("pair"), Column("preset"), Column("verdict"), Column("initial", ","), Column("points", ","),
+        Column("loss, %", ".1f"), Column("reprojection, px", ".2f"), Column("± rotation, deg", ".4f"),
+        Column("± translation, deg", ".4f"), Column("seconds", ".1f"),
+    )  # fmt: skip
+    note = (
+        "±: the standard deviations that a run states for its own pose, from the noise of the pixels alone. There is no truth "
+        "to compare with. Reprojection: root mean square of the cloud's points in both photographs."
+    )
+    return ResultTable("pairs", "Every pair", columns, tuple(lines), note)
+
+
+def _draw_target(flight: Flight, box: Box, folder: Path) -> ResultFigure:
+    """The first photograph with the box."""
+    image = read_image(flight.photographs[0])
+    w, h = image.size_wh
+    step = max(1, w // _WIDTH)
+    figure = Figure(figsize=(8, 8 * h / w), layout="constrained")
+    ax = figure.add_subplot()
+    ax.imshow(image.rgb[::step, ::step], extent=(-0.5, w - 0.5, h - 0.5, -0.5))
+    x0, y0, x1, y1 = box
+    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=4))
+    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="#D55E00", linewidth=2))
+    ax.set(xlabel="x (pixels)", ylabel="y (pixels)")
+    _save(figure, folder / "target.png")
+    return ResultFigure(
+        "The target in the first photograph", "target.png", "The first photograph, a box around the target"
+    )
+
+
+def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -> ResultFigure:
+    """The clouds of a case's first pair side by side."""
+    there = {label: folder / ply_name(case, p) for p, label in _PRESETS.items()}
+    there["COLMAP, 2 photographs"] = folder / ply_name(case, "colmap-2")
+    there[f"COLMAP, {len(flight.photographs)} photographs"] = folder / ply_name(SMALL, f"colmap-{ALL_OF}")
+    clouds = {label: read_ply(path) for label, path in there.items() if path.is_file()}
+    lines = max(1, (len(clouds) + 1) // 2)
+    w, h = flight.camera.size_wh
+    figure = Figure(figsize=(12, lines * (6 * h / w + 0.3)), layout="constrained")
+    axes = np.ravel(figure.subplots(lines, 2, squeeze=False))
+    for ax in axes:
+        ax.set_axis_off()
+    for ax, (label, cloud) in zip(axes, clouds.items()):
+        ax.imshow(splat(cloud, flight.camera, width=_WIDTH, dot=2, pitch_deg=_PITCH_DEG), interpolation="none")
+        ax.set_title(f"{label}: {len(cloud):,} points", fontsize=11)
+    file = f"clouds-{case.replace(' ', '-')}.png"
+    _save(figure, folder / file)
+    return ResultFigure(
+        f"The clouds of the {case}, seen obliquely",
+        file,
+        f"Point clouds of the {case}: {', '.join(clouds)}",
+    )
+
+
+def _save(figure: Figure, path: Path) -> None:
+    FigureCanvasAgg(figure)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
