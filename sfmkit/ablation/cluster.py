@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import logging
+import queue
+import time
 from collections import OrderedDict
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, OutputError
 from .engines import ATTEMPTS, died
 from .tasks import Task
 from .version import engine_version
@@ -16,6 +18,7 @@ from .worker import Outcome, Parcel, Setup, perform
 CONNECT_S = 5.0
 WORKERS_S = 10.0
 _AHEAD = 2  # tasks a worker has waiting, so that it need not wait for the next
+_GO_ON = "what was done is kept: start again when the cluster is back"
 _SHARED = 64  # results that stay scattered over the cluster
 
 
@@ -33,7 +36,7 @@ class DaskEngine:
 
     def __init__(self, address: str, setup: Setup):
         try:
-            from distributed import Client, as_completed
+            from distributed import Client
         except ImportError:
             raise InputError("--scheduler needs Dask: pip install 'sfmkit[cluster]'") from None
         for name in ("distributed", "distributed.client", "distributed.comm"):
@@ -58,7 +61,7 @@ class DaskEngine:
         except BaseException:
             self.close()
             raise
-        self._as_completed = as_completed(with_results=False)
+        self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._running: dict[Any, tuple[Task, Parcel, int]] = {}
         self._shared: OrderedDict[str, Any] = OrderedDict()
         self._number = itertools.count()
@@ -88,7 +91,7 @@ class DaskEngine:
             _perform, task, self._setup, images, inputs, key=f"{task.kind}-{task.key}-{next(self._number)}", pure=False
         )
         self._running[future] = (task, parcel, attempt)
-        self._as_completed.add(future)
+        future.add_done_callback(self._done.put)
 
     def _share(self, key: str, data: bytes) -> Any:
         """The bytes in a worker's memory, from which the others fetch them; not through the scheduler."""
@@ -103,18 +106,47 @@ class DaskEngine:
         from distributed import KilledWorker
 
         while True:
-            future = next(self._as_completed)
+            future = self._wait()
             task, parcel, attempt = self._running.pop(future)
             try:
-                return task, future.result()
+                return task, future.result(timeout=CONNECT_S)
             except KilledWorker:
                 return task, died()
-            except Exception as error:  # scattered bytes were lost with a worker, or the cluster failed
+            except Exception as error:  # scattered bytes were lost with a worker, or the cluster is gone
+                self._alive()
                 if attempt == ATTEMPTS:
                     return task, Outcome("failed", f"the cluster lost this task {ATTEMPTS} times: {error}")
                 for key in (*parcel.images, *parcel.inputs):
                     self._shared.pop(key, None)
                 self.submit(task, parcel, attempt + 1)
+
+    def _wait(self) -> Any:
+        """The next future that is done.
+
+        Raises:
+            OutputError: the scheduler is gone, or all workers are and none comes back.
+        """
+        idle_since = time.monotonic()
+        while True:
+            try:
+                return self._done.get(timeout=1.0)
+            except queue.Empty:
+                if self._alive():
+                    idle_since = time.monotonic()
+                elif time.monotonic() - idle_since > WORKERS_S:
+                    raise OutputError(
+                        f"the cluster has lost all its workers and none came back in {WORKERS_S:.0f} s; {_GO_ON}"
+                    ) from None
+
+    def _alive(self) -> bool:
+        """Whether the cluster has workers.
+
+        Raises:
+            OutputError: its scheduler is gone.
+        """
+        if self._client.status != "running":
+            raise OutputError(f"the scheduler of the cluster is gone; {_GO_ON}")
+        return bool(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def close(self) -> None:
         self._client.close(timeout=2)
