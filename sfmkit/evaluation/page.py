@@ -18,9 +18,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1c1e21; --soft: #5c6370; --paper: #fff; --line: #d8dce2; --band: #f5f6f8;
-  --mark: #fff6df; --link: #0b5cad; }
+  --mark: rgb(255 196 0 / .14); --shade: rgb(0 0 0 / .28);
+  --link: #0b5cad; }
 @media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e6ea; --soft: #a0a7b4; --paper: #16181c; --line: #363b44; --band: #1f2228; --mark: #36301c; --link: #7db7f0; }
+  :root { --ink: #e4e6ea; --soft: #a0a7b4; --paper: #16181c; --line: #363b44; --band: #1f2228;
+    --mark: rgb(255 196 0 / .13); --shade: rgb(0 0 0 / .8); --link: #7db7f0; }
 }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
@@ -35,13 +37,19 @@ code, pre { font: .85rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; }
 code { overflow-wrap: anywhere; }
 pre { background: var(--band); padding: .6rem .8rem; overflow-x: auto; border-radius: 4px; max-width: 100%; }
 .note { color: var(--soft); font-size: .9rem; }
-.wide { overflow-x: auto; max-width: 100%; border: 1px solid var(--line); border-radius: 4px; }
+/* The shadows at the sides lie below covers that scroll away with the table: they show where there is more. */
+.wide { overflow-x: auto; max-width: 100%; border: 1px solid var(--line); border-radius: 4px; background:
+  linear-gradient(to right, var(--paper) 40%, transparent) 0 0 / 3rem 100% no-repeat local,
+  linear-gradient(to left, var(--paper) 40%, transparent) 100% 0 / 3rem 100% no-repeat local,
+  linear-gradient(to right, var(--shade), transparent) 0 0 / 1rem 100% no-repeat scroll,
+  linear-gradient(to left, var(--shade), transparent) 100% 0 / 1rem 100% no-repeat scroll; }
 table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; min-width: 100%; }
 th, td { padding: .28rem .6rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th { background: var(--band); font-weight: 600; vertical-align: bottom; }
+th { font-weight: 600; vertical-align: bottom; }
 th.right, td.right { text-align: right; }
 td { white-space: nowrap; }
 td.long { white-space: normal; min-width: 14rem; }
+thead { background: rgb(128 136 150 / .1); }
 th.paper, td.paper { background: var(--mark); }
 tbody tr:last-child td { border-bottom: 0; }
 figure { margin: 1rem 0; }
