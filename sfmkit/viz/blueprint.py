@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -28,12 +28,32 @@ def default_blueprint(result: Reconstruction, prefix: str = "") -> rrb.Blueprint
         *([_cloud(result, p)] if result.cloud is not None else []),
         _account(p),
     ]
+    return _arranged(pages)
+
+
+def explorer_blueprint(result: Reconstruction) -> rrb.Blueprint:
+    """For a notebook: the page *Explore*, where a keypoint of image 1 is clicked beside the scene, before the others.
+
+    The panel of the selection is closed: what is selected is answered in the notebook.
+    """
+    ray = "explored/**"
+    explore = rrb.Horizontal(
+        _image(result, "", 1, "Image 1: click a keypoint", "keypoints/**"),
+        _space(result, "", "Scene: the ray of the keypoint", "points/photograph", "baseline", ray),
+        name="Explore",
+    )
+    others = [_matches(result, ""), _epipolar(result, "")]
+    others += [] if result.cloud is None else [_cloud(result, "")]
+    return _arranged([explore, *others], selection="collapsed")
+
+
+def _arranged(pages: list[Any], selection: Literal["expanded", "collapsed"] = "expanded") -> rrb.Blueprint:
     # The viewer chooses the timeline `stage` by itself; named here, it warns until the first of it has arrived.
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
         rrb.TimePanel(state="collapsed", fps=1),
         rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="expanded"),
+        rrb.SelectionPanel(state=selection),
     )
 
 

@@ -100,6 +100,8 @@ class EpipolarExplorer:
         self._keypoints2 = torch.from_numpy(np.concatenate(keypoints).astype(np.float64))
         self._ideal2 = _ideal(self._keypoints2, view.camera2)
         cloud = result.cloud
+        #: the depth to which rays are drawn, baselines
+        self.far = 10.0 if cloud is None or not len(cloud) else float(np.percentile(cloud.xyz[:, 2].numpy(), 98))
         self._point_of = {} if cloud is None else {int(m): k for k, m in enumerate(cloud.match)}
 
     def look(self, x1: tuple[float, float] | np.ndarray) -> EpipolarView:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import anywidget
 import ipywidgets
@@ -19,24 +19,28 @@ import traitlets
 from matplotlib.figure import Figure
 
 from ..errors import InputError
-from ..images import Image
 from ..pipeline import Reconstruction
 from .colours import operator_colour
 from .explorer import Candidate, EpipolarExplorer, EpipolarView
+from .from_above import scene_from_above
 
-__all__ = ["Candidate", "EpipolarExplorer", "EpipolarView", "EpipolarWidget", "FigureSlider", "Photograph"]
+if TYPE_CHECKING:
+    from .embedded import RecordingViewer
+
+__all__ = ["Candidate", "EpipolarExplorer", "EpipolarView", "EpipolarWidget", "FigureSlider", "Picture"]
 
 MAX_DRAWN = 400  # candidates; more hide the photograph
 _WIDEST = 1600  # pixels of the picture sent to the browser
 _INK = {"pixel": "#F0E442", "line": "#F0E442", "match": "#FFFFFF"}
 
 
-class Photograph(anywidget.AnyWidget):
-    """A photograph that tells where it was clicked, with a drawing over it.
+class Picture(anywidget.AnyWidget):
+    """A picture that tells where it was clicked, with a drawing over it.
 
     Attributes:
-        clicked: [x, y] of the last click in pixels of the photograph, empty before the first.
-        overlay: SVG elements in pixels of the photograph.
+        kind: ``photograph``, which is clicked, or ``map``, which is not; its element has the class ``sfmkit-<kind>``.
+        clicked: [x, y] of the last click in pixels of the picture, empty before the first.
+        overlay: SVG elements in pixels of the picture.
     """
 
     _esm = """
@@ -45,8 +49,9 @@ class Photograph(anywidget.AnyWidget):
       const [w, h] = model.get("size");
       const svg = document.createElementNS(ns, "svg");
       svg.setAttribute("viewBox", `-0.5 -0.5 ${w} ${h}`);
-      svg.setAttribute("class", "sfmkit-photograph");
-      svg.style.cssText = "width: 100%; cursor: crosshair; display: block";
+      const kind = model.get("kind");
+      svg.setAttribute("class", `sfmkit-${kind}`);
+      svg.style.cssText = `width: 100%; display: block; cursor: ${kind === "photograph" ? "crosshair" : "default"}`;
       const image = document.createElementNS(ns, "image");
       for (const [k, v] of Object.entries({ x: -0.5, y: -0.5, width: w, height: h })) image.setAttribute(k, v);
       const url = URL.createObjectURL(new Blob([model.get("jpeg")], { type: "image/jpeg" }));
@@ -66,13 +71,14 @@ class Photograph(anywidget.AnyWidget):
     }
     export default { render };
     """
+    kind = traitlets.Unicode("photograph").tag(sync=True)
     jpeg = traitlets.Bytes().tag(sync=True)
     size = traitlets.List(traitlets.Int()).tag(sync=True)
     overlay = traitlets.Unicode("").tag(sync=True)
     clicked = traitlets.List(traitlets.Float()).tag(sync=True)
 
-    def __init__(self, image: Image, **settings: Any):
-        super().__init__(jpeg=_jpeg(image.rgb), size=list(image.size_wh), **settings)
+    def __init__(self, rgb: np.ndarray, **settings: Any):
+        super().__init__(jpeg=_jpeg(rgb), size=[rgb.shape[1], rgb.shape[0]], **settings)
 
 
 class FigureSlider(ipywidgets.VBox):
@@ -111,7 +117,10 @@ class FigureSlider(ipywidgets.VBox):
 
 
 class EpipolarWidget(ipywidgets.VBox):
-    """Both photographs: click the left one, and the right one shows the epipolar line, the candidates and the match.
+    """Both photographs and the scene from above: click the left one, and the others answer.
+
+    Image 2 shows the pixel's epipolar line, the candidates along it and the match; the scene from above shows the pixel's
+    ray and the match's point.
 
     Args:
         result: a reconstruction, or an :class:`EpipolarExplorer`.
@@ -123,17 +132,35 @@ class EpipolarWidget(ipywidgets.VBox):
     def __init__(self, result: Reconstruction | EpipolarExplorer):
         self.explorer = result if isinstance(result, EpipolarExplorer) else EpipolarExplorer(result)
         self.view: EpipolarView | None = None
-        images = self.explorer.result.images
-        half = ipywidgets.Layout(width="50%")
-        self.left, self.right = Photograph(images[0], layout=half), Photograph(images[1], layout=half)
+        self._viewer: Any = None
+        result = self.explorer.result
+        self.left, self.right = (Picture(image.rgb) for image in result.images)
         self.band = ipywidgets.FloatSlider(self.explorer.band_px, min=0.25, max=10, step=0.25, description="band (px)")
         self.reach = ipywidgets.FloatSlider(self.explorer.reach_px, min=1, max=60, step=1, description="reach (px)")
-        self.words = ipywidgets.HTML("Click a pixel of the left photograph.")
+        self.words = ipywidgets.HTML("Click a pixel of image 1.")
         self.left.observe(lambda change: self.look(change["new"]), "clicked")
         for slider in (self.band, self.reach):
             slider.observe(self._changed, "value")
+        self.above: Picture | None = None
+        if result.cloud is not None and len(result.cloud):
+            rgb, self._pixels = scene_from_above(result.cloud, result.two_view)
+            self.above = Picture(rgb, kind="map")
+        explained = ipywidgets.HTML(
+            "<small><b>band</b>: a keypoint this near to the line is drawn.<br>"
+            "<b>reach</b>: a match this near to the click is the click's.</small>"
+        )
+        controls = ipywidgets.VBox([self.words, self.band, self.reach, explained])
+        below = [_share(controls, 45)] + ([] if self.above is None else [_share(self.above, 55)])
         super().__init__(
-            [ipywidgets.HBox([self.left, self.right]), ipywidgets.HBox([self.band, self.reach]), self.words]
+            [
+                ipywidgets.HBox(
+                    [
+                        _share(ipywidgets.VBox([ipywidgets.HTML("<b>image 1</b>: click it"), self.left]), 50),
+                        _share(ipywidgets.VBox([ipywidgets.HTML("<b>image 2</b>"), self.right]), 50),
+                    ]
+                ),
+                ipywidgets.HBox(below),
+            ]
         )
 
     def look(self, x1: Any) -> EpipolarView | None:
@@ -144,11 +171,22 @@ class EpipolarWidget(ipywidgets.VBox):
             self.words.value = escape(str(error))
             return None
         self.left.overlay, self.right.overlay = overlays(self.view, self.explorer.result)
-        self.words.value = escape(self.view.describe())
+        ray = np.stack([np.zeros(3), self.view.ray * self.explorer.far / self.view.ray[2]])
+        if self.above is not None:
+            point = None if self.view.X is None else self._pixels(self.view.X[None])[0]
+            self.above.overlay = ray_overlay(self._pixels(ray), point)
+        if self._viewer is not None:
+            self._viewer.show_ray(ray, self.view.X)
+        lines = "<br>".join(escape(line) for line in self.view.describe().split("; "))
+        self.words.value = f'<div style="line-height: 1.4">{lines}</div>'
         return self.view
 
-    def follow(self, viewer: Any) -> Any:
-        """Also answer keypoints of image 1 that are selected in an embedded Rerun viewer; returns the viewer."""
+    def follow(self, viewer: RecordingViewer) -> RecordingViewer:
+        """Also answer keypoints of image 1 that are selected in an embedded Rerun viewer, and draw the ray there.
+
+        Returns the viewer.
+        """
+        self._viewer = viewer
         viewer.on_event(self.on_viewer_event)
         return viewer
 
@@ -168,21 +206,39 @@ class EpipolarWidget(ipywidgets.VBox):
 
 def overlays(view: EpipolarView, result: Reconstruction) -> tuple[str, str]:
     """The SVG over image 1 and over image 2, in pixels of the photographs."""
-    size = max(result.images[0].size_wh) / 150
+    size = max(result.images[0].size_wh) / 120
     left = _circle(view.x1, size, _INK["pixel"], "pixel")
-    right = "".join(
+    right = ""
+    if len(view.curve):
+        right += _polyline(" ".join(f"{x:.3f},{y:.3f}" for x, y in view.curve), "epipolar-line")
+    right += "".join(
         _circle(c.x2, 0.5 * size, operator_colour(c.operator), "candidate") for c in view.candidates[:MAX_DRAWN]
     )
-    if len(view.curve):
-        points = " ".join(f"{x:.3f},{y:.3f}" for x, y in view.curve)
-        right += (
-            f'<polyline class="epipolar-line" points="{points}" fill="none" stroke="{_INK["line"]}" '
-            'stroke-width="1.5" vector-effect="non-scaling-stroke"/>'
-        )
     if view.x1_match is not None and view.x2_match is not None:
         left += _circle(view.x1_match, 0.6 * size, _INK["match"], "match")
         right += _circle(view.x2_match, size, _INK["match"], "match")
     return left, right
+
+
+def ray_overlay(ray: np.ndarray, point: np.ndarray | None) -> str:
+    """The SVG over the scene from above: the ray's ends (2, 2) and the match's point (2,), in pixels of the picture."""
+    drawn = _polyline(" ".join(f"{x:.3f},{y:.3f}" for x, y in ray), "ray")
+    return drawn if point is None else drawn + _circle(point, 8, "#000000", "point")
+
+
+def _polyline(points: str, kind: str) -> str:
+    """In yellow on black, which shows on any photograph."""
+    return "".join(
+        f'<polyline class="{name}" points="{points}" fill="none" stroke="{colour}" stroke-width="{width}" '
+        'vector-effect="non-scaling-stroke"/>'
+        for name, colour, width in (("casing", "#000000", 3.5), (kind, _INK["line"], 1.5))
+    )
+
+
+def _share(widget: Any, percent: int) -> Any:
+    """The widget with its share of a row, and a little air on its right."""
+    widget.layout = ipywidgets.Layout(width=f"{percent}%", padding="0 8px 0 0")
+    return widget
 
 
 def _circle(x: Any, radius: float, colour: str, kind: str) -> str:

@@ -126,6 +126,11 @@ def test_a_click_draws_the_line_and_a_slider_answers_at_once(result):
     widget.band.value = 6
     assert time.perf_counter() - start < 0.3
     assert len(widget.view.candidates) > before
+    ray = re.search(r'class="ray" points="([^"]+)"', widget.above.overlay)[1]
+    start, end = np.array([[float(v) for v in p.split(",")] for p in ray.split()])
+    w, h = widget.above.size
+    assert 0 < start[0] < w
+    assert 0 < end[1] < start[1] < h  # from camera 1 into the scene, which lies higher in the picture
     widget.left.clicked = [-50.0, 0.0]
     assert "outside image 1" in widget.words.value
 
@@ -133,11 +138,13 @@ def test_a_click_draws_the_line_and_a_slider_answers_at_once(result):
 def test_a_selected_keypoint_is_answered_like_a_click(result):
     widgets = pytest.importorskip("sfmkit.viz.widgets")
     widget = widgets.EpipolarWidget(result)
-    callbacks = []
-    assert widget.follow(viewer := SimpleNamespace(on_event=callbacks.append)) is viewer
+    callbacks, rays = [], []
+    viewer = SimpleNamespace(on_event=callbacks.append, show_ray=lambda ray, X: rays.append(ray))
+    assert widget.follow(viewer) is viewer
     item = SimpleNamespace(entity_path="/world/cam1/image/keypoints/fast-brief", instance_id=11)
     callbacks[0](SimpleNamespace(items=[item]))
     assert np.allclose(widget.view.x1, result.features["fast-brief"][0].keypoints[11])
+    assert np.allclose(np.cross(rays[0][1], widget.view.ray), 0)
     callbacks[0](SimpleNamespace())  # another kind of event
     assert widget.view is not None
 
@@ -146,6 +153,18 @@ def test_the_embedded_viewer_is_made_without_a_server(result):
     embedded = pytest.importorskip("sfmkit.viz.embedded")
     viewer = embedded.recording_viewer(result, width=600, height=400)
     assert callable(viewer.on_event)
+
+
+def test_the_scene_from_above_has_one_scale(result):
+    from sfmkit.viz.from_above import scene_from_above
+
+    rgb, pixels = scene_from_above(result.cloud, result.two_view)
+    origin, right, deep = pixels(np.array([[0.0, 0, 0], [1, 5, 0], [0, -5, 1]]))
+    assert np.allclose([right[1], deep[0]], [origin[1], origin[0]])
+    assert right[0] - origin[0] > 10
+    assert right[0] - origin[0] == pytest.approx(origin[1] - deep[1])
+    dark = (rgb.max(-1) < 60).nonzero()
+    assert np.hypot(dark[1] - origin[0], dark[0] - origin[1]).min() < 3  # the mark of camera 1
 
 
 def test_a_slider_draws_its_value_anew():
