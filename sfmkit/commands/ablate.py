@@ -10,6 +10,7 @@ import click
 
 from ..exit_status import INTERRUPTED
 from ..parsing import names, size_in_bytes
+from .ablate_report import report
 
 
 @click.group(invoke_without_command=True, subcommand_metavar="[COMMAND ...]")
@@ -80,6 +81,9 @@ def ablate(ctx: click.Context, **options: Any) -> None:
     """
     if ctx.invoked_subcommand is None:
         run(**options)
+
+
+ablate.add_command(report)
 
 
 def run(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -103,7 +102,7 @@ def contributions(scores: Scores) -> list[Contributions]:
 def _contributions(scores: Scores, full: Setup) -> Contributions:
     game: dict[frozenset[str], np.ndarray] = {}
     for c, setup in enumerate(scores.setups):
-        if setup.preset == full.preset and setup.vary == _only(full.vary, setup.operators):
+        if setup == full.only(setup.operators):
             game[frozenset(setup.operators)] = scores.quality[:, c]
     players, all_of_them = full.operators, frozenset(full.operators)
     singles = [game.get(frozenset({o})) for o in players]
@@ -118,8 +117,3 @@ def _contributions(scores: Scores, full: Setup) -> Contributions:
         None if missing else mean_interval(shapley(game, players)),
         _say_missing(missing, players) if missing else "",
     )  # fmt: skip
-
-
-def _only(vary: str, operators: Sequence[str]) -> str:
-    """The changes that concern these operators: a sweep does not repeat a combination for changes to others."""
-    return json.dumps({k: v for k, v in json.loads(vary).items() if k.rpartition(".")[0] in ("", *operators)})

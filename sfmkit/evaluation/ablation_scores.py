@@ -37,6 +37,10 @@ class Measure:
     main: float
     ceiling: float
 
+    def show(self, value: float) -> str:
+        """A value with its unit."""
+        return f"{value:g}°" if self.unit == "°" else f"{value:g} {self.unit}"
+
 
 MEASURES = {
     "px": Measure("px", "mean distance of the corners from their true places", (1, 3, 5, 10), 5, 100),
@@ -61,6 +65,12 @@ class Setup:
         """Preset and changed settings in words."""
         changed = ", ".join(f"{name} {value}" for name, value in json.loads(self.vary).items())
         return f"{self.preset}, {changed}" if changed else self.preset
+
+    def only(self, operators: Iterable[str]) -> Setup:
+        """The setup of some of the operators with what of the changes concerns them: a sweep has no other."""
+        some = tuple(operators)
+        changes = {k: v for k, v in json.loads(self.vary).items() if k.rpartition(".")[0] in ("", *some)}
+        return Setup(some, self.preset, json.dumps(changes))
 
 
 @dataclass(frozen=True, eq=False)
