@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 
 from .errors import InputError
+
+WIDTH = 96  # characters: a cell of a notebook breaks longer lines in the middle of words
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Judgement:
 
     right: bool
     message: str
+    answered: bool = True
 
 
 def check(exercise: str, answer: Any) -> None:
@@ -57,7 +61,8 @@ def check(exercise: str, answer: Any) -> None:
         InputError: no such exercise.
     """
     judgement = judge(exercise, answer)
-    print(("✓ " if judgement.right else "✗ ") + judgement.message)
+    sign = "✓ " if judgement.right else "✗ " if judgement.answered else "○ "
+    print(fill(judgement.message, WIDTH, initial_indent=sign, subsequent_indent="  "))
 
 
 def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None = None) -> Judgement:
@@ -72,7 +77,7 @@ def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None =
         raise InputError(f"there is no exercise '{exercise}'.{hint} Known: {', '.join(exercises)}")
     task = exercises[exercise]
     if answer is ...:
-        return Judgement(False, f"{exercise} is not answered yet. {task.question}")
+        return Judgement(False, f"{exercise} is not answered yet. {task.question}", answered=False)
     return _judge_value(task, answer) if task.inputs is None else _judge_function(task, answer)
 
 
@@ -102,7 +107,7 @@ def _judge_function(task: Exercise, answer: Any) -> Judgement:
                 False, f"Your function raised {type(error).__name__}: {error}. Its arguments had the shapes {shapes}."
             )
     if all(a is None or a is ... for a in answers):
-        return Judgement(False, f"Your function returns nothing yet. {task.question}")
+        return Judgement(False, f"Your function returns nothing yet. {task.question}", answered=False)
     expected = [task.right(*arguments) for arguments in trials]
     wrong = [k for k, (a, e) in enumerate(zip(answers, expected)) if not _same(a, e, task)]
     if not wrong:

@@ -1,9 +1,10 @@
-"""The pair of photographs that the notebooks work on: real ones where they are, the bundled ones otherwise."""
+"""The photographs that the notebooks work on: real ones where they are, bundled or rendered ones otherwise."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -35,6 +36,38 @@ def lesson_pair(longest: int = 1000) -> Pair:
         for source, camera in ((pair.image1, pair.camera1), (pair.image2, pair.camera2))
     )
     return replace(pair, image1=image1, image2=image2, camera1=camera1, camera2=camera2)
+
+
+#: change -> the sequence of the Oxford set that shows it; the rendered ones are named by the change
+CHANGES = {"viewpoint": "graf", "zoom_rotation": "boat", "blur": "bikes", "light": "leuven", "jpeg": "ubc"}
+
+
+def lesson_planes(change: str, count: int = 5, size_wh: tuple[int, int] = (480, 384)) -> list[Pair]:
+    """Image 1 of a plane with image 2, 3 ... of it, the change growing, and their true homographies.
+
+    The Oxford set's where ``SFMKIT_DATA`` or the cache holds it, else rendered.
+
+    Args:
+        change: one of :data:`CHANGES`.
+        count: of pairs, at most 5.
+        size_wh: of rendered images; fewer pixels are rendered sooner.
+
+    Returns:
+        The pairs, their images as (H, W, 3) uint8 RGB arrays.
+
+    Raises:
+        InputError: unknown change.
+    """
+    from .oxford import oxford
+    from .planes import planes
+
+    if change not in CHANGES:
+        raise InputError(f"unknown change '{change}'; there are {', '.join(CHANGES)}")
+    try:
+        pairs = list(islice(oxford(sequences=[CHANGES[change]]), count))
+    except InputError:
+        return list(islice(planes([change], size_wh=size_wh), count))
+    return [replace(p, image1=read_image(p.image1).rgb, image2=read_image(p.image2).rgb) for p in pairs]
 
 
 def _reduced(rgb: np.ndarray, camera: Camera, longest: int) -> tuple[np.ndarray, Camera]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from sfmkit.datasets.lesson import lesson_pair
+from sfmkit.datasets.lesson import lesson_pair, lesson_planes
 from sfmkit.datasets.synthetic import demo_pair
+from sfmkit.errors import InputError
 from sfmkit.pipeline import reconstruct
 
 
@@ -28,3 +30,22 @@ def test_the_real_pair_where_it_is(data_dir, monkeypatch):
     assert pair.dataset == "strecha"
     assert max(pair.image1.shape) == 768 == max(pair.camera1.size_wh)
     assert np.isclose(np.linalg.det(pair.R), 1, atol=1e-6)
+
+
+def test_rendered_planes_without_data(monkeypatch, tmp_path):
+    monkeypatch.delenv("SFMKIT_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (pair,) = lesson_planes("light", 1, size_wh=(160, 128))
+    assert pair.dataset == "planes"
+    assert pair.image2.shape == (128, 160, 3)
+    assert pair.image2.mean() < 0.8 * pair.image1.mean()
+    with pytest.raises(InputError, match="viewpoint, zoom_rotation"):
+        lesson_planes("weather")
+
+
+def test_real_planes_where_they_are(data_dir, monkeypatch):
+    monkeypatch.setenv("SFMKIT_DATA", str(data_dir))
+    pairs = lesson_planes("blur", 2)
+    assert [str(p) for p in pairs] == ["oxford/bikes 1-2", "oxford/bikes 1-3"]
+    assert pairs[0].image1.ndim == 3
