@@ -87,6 +87,9 @@ def oxford(
 @PRESETS("paper,default,dense")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
 @MAX_SIZE
+@click.option(
+    "--scenes", default="courtyard,wide,dish", show_default=True, callback=_names, help="Rendered scenes; '' for none."
+)
 @OUT("fountain")
 @DATA
 def fountain(
@@ -95,6 +98,7 @@ def fountain(
     presets: tuple[str, ...],
     seeds: int,
     max_size: int | None,
+    scenes: tuple[str, ...],
     out: Path,
     data: Path | None,
 ) -> None:
@@ -105,7 +109,7 @@ def fountain(
     with parts_bar("fountain") as report:
         rows = bench_fountain(
             out, data=data, pairs=pairs, operators=operators, presets=presets, seeds=seeds, max_size=max_size,
-            progress=report,
+            scenes=scenes, progress=report,
         )  # fmt: skip
     hand_over(out, fountain_result(rows, out, command_line()))
 
