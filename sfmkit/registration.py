@@ -40,6 +40,7 @@ _RADIUS = 2.0  # guided matching looks this many thresholds around the predicted
 _DISTANCE_QUANTILE = 0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
 _WORST_RATIO = 1.35  # of descriptor distance to its limit, at which a match would not count
 _LEAST_SIGMA_PX = 0.1  # no operator localises better
+_LEAST_DISTANCE = 1e-6  # between descriptors that differ; rounding is larger
 _GRID = 8  # cells a side, in which a crowd of matches is thinned by weight
 _CROWD = 0.5  # a match counts by the number in its cell to the power of minus this: 0 counts each alike, 1 each cell
 _LEAST_INLIERS = 10  # of an operator, to know its descriptor distances
@@ -157,7 +158,8 @@ def _guide(
     for name in corr.operators:
         mine = corr.distance[fit.inliers & corr.found_by(name) & (corr.operator_id == corr.operators.index(name))]
         if len(mine) >= _LEAST_INLIERS:
-            limits[name] = float(torch.quantile(mine, _DISTANCE_QUANTILE))
+            # Not 0, where most descriptors are equal: the ratio to it would be no number.
+            limits[name] = max(float(torch.quantile(mine, _DISTANCE_QUANTILE)), _LEAST_DISTANCE)
     if not limits:
         return fit, None
     assert fit.H is not None

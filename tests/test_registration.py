@@ -179,3 +179,12 @@ def test_real_pair(data_dir):
     r = register(folder / "img1.png", folder / "img6.png", operators=("surf", "fast-brief"))
     assert corner_error(r.H.numpy(), H, (765, 512)) < 5
     assert r.account["fast-brief"].inliers < 0.05 * r.account["fast-brief"].initial, "no rotation, yet it did no harm"
+
+
+def test_a_photograph_and_its_copy_shifted_by_whole_pixels_agree_exactly():
+    # Most descriptors are equal to the last bit: distances of 0 must not become weights that are no numbers.
+    whole = textured(2)
+    result = register(whole[:300, :380], whole[10:310, 15:395], ("akaze",))
+    assert result.H is not None
+    shift = np.array([[1.0, 0, -15], [0, 1, -10], [0, 0, 1]])
+    assert corner_error(result.H.numpy(), shift, (380, 300)) < 0.05
