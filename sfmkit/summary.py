@@ -101,7 +101,7 @@ def print_result(result: Result) -> None:
     for shown in result.tables:
         table = Table(title=shown.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
         for column in shown.columns:
-            table.add_column(column.name, justify="right" if column.right else "left")
+            table.add_column(column.name, justify="right" if column.right else "left", overflow="fold")
         for row in shown.shown():
             table.add_row(*(escape(cell) for cell in row))
         console.print(table)

@@ -17,7 +17,7 @@ from ..cameras import camera_from_exif
 from ..cloud import read_ply, write_ply
 from ..datasets.pairs import Pair
 from ..datasets.uav import uav
-from ..errors import InputError
+from ..errors import InputError, SfmError
 from ..features.tables import operator_spec
 from ..geometry.reprojection import project
 from ..images import read_image
@@ -189,7 +189,7 @@ def _pair_row(
     row: Row = {
         "kind": "pair", "case": case, "pair": pair.name, "preset": preset, "verdict": result.two_view.verdict.value,
         "camera": camera.source, "size_wh": list(camera.size_wh), "initial": line.initial, "points": line.points,
-        "target": None, "reprojection_rmse_px": result.reprojection_rmse_px, "sigma_deg": result.two_view.sigma_deg,
+        "target": None, "reprojection_rmse_px": result.reprojection_rmse_px, "sigma_deg": None if (sigma := result.two_view.sigma_deg) is None else list(sigma),
         "seconds": result.timings_s["total"],
     }  # fmt: skip
     if out is not None and cloud is not None and len(cloud):
@@ -225,14 +225,24 @@ def _colmap_row(case: str, given: str, flight: Flight, box: Box, out: Path) -> R
 def _given_rows(
     path: Path, cloud: PointCloud, flight: Flight, presets: Sequence[str], box: Box, out: Path
 ) -> list[Row]:
-    """A cloud of another program, laid over ours of each case, which has the scale and the frame of camera 1."""
+    """A cloud of another program, laid over ours of each case, which has the frame of camera 1; its scale is free."""
+    from ..alignment import align
+
     rows = []
     for case in flight.cases:
         row: Row = {"kind": "given", "case": case, "file": path.name, "points": len(cloud), "target": None}
-        ours = next((out / ply_name(case, p) for p in reversed(presets) if (out / ply_name(case, p)).exists()), None)
-        if ours is not None:
-            from ..compare import align  # heavy, and needed for foreign clouds only
-
-            row |= {"note": str(align)}
-        rows.append(row)
+        ours = next((out / ply_name(case, p) for p in presets if (out / ply_name(case, p)).exists()), None)
+        if ours is None:
+            rows.append(row | {"note": "there is no cloud of ours to lay it over"})
+            continue
+        try:
+            found = align(read_ply(ours).xyz.numpy(), cloud.xyz.numpy())
+        except SfmError as error:
+            rows.append(row | {"note": f"could not be laid over ours: {error}"})
+            continue
+        moved = changed(cloud, xyz=found.similarity.apply(cloud.xyz), covariance=None)
+        write_ply(out / ply_name(case, f"given-{path.stem}"), moved)
+        how = f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} of it on ours"
+        doubt = "; another way fits nearly as well, check the picture" if found.ambiguous else ""
+        rows.append(row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt})
     return rows

@@ -22,6 +22,7 @@ from .uav import ALL_OF, SMALL, WIDE, Box, Flight, ply_name
 _TABLES = {SMALL: 7, WIDE: 8}
 _PRESETS = {"default": "sfmkit, default preset", "dense": "sfmkit, dense preset", "paper": "sfmkit, the paper's recipe"}
 _PITCH_DEG = -25.0  # of the pictures
+_GREY = 45  # behind the clouds: roads and roofs are pale
 _WIDTH = 800  # pixels of a photograph or cloud in the figures
 
 
@@ -119,6 +120,9 @@ def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -
     there = {label: folder / ply_name(case, p) for p, label in _PRESETS.items()}
     there["COLMAP, 2 photographs"] = folder / ply_name(case, "colmap-2")
     there[f"COLMAP, {len(flight.photographs)} photographs"] = folder / ply_name(SMALL, f"colmap-{ALL_OF}")
+    for r in rows:
+        if r["kind"] == "given" and r["case"] == case:
+            there[r["file"]] = folder / ply_name(case, f"given-{Path(r['file']).stem}")
     clouds = {label: read_ply(path) for label, path in there.items() if path.is_file()}
     lines = max(1, (len(clouds) + 1) // 2)
     w, h = flight.camera.size_wh
@@ -127,7 +131,10 @@ def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -
     for ax in axes:
         ax.set_axis_off()
     for ax, (label, cloud) in zip(axes, clouds.items()):
-        ax.imshow(splat(cloud, flight.camera, width=_WIDTH, dot=2, pitch_deg=_PITCH_DEG), interpolation="none")
+        ax.imshow(
+            splat(cloud, flight.camera, width=_WIDTH, dot=2, pitch_deg=_PITCH_DEG, background=_GREY),
+            interpolation="none",
+        )
         ax.set_title(f"{label}: {len(cloud):,} points", fontsize=11)
     file = f"clouds-{case.replace(' ', '-')}.png"
     _save(figure, folder / file)
