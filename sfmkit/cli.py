@@ -23,6 +23,7 @@ COMMANDS = {
     "bench": ("bench", "bench"),
     "report": ("report", "report"),
     "density": ("density", "density"),
+    "compare": ("compare", "compare"),
     "ablate": ("ablate", "ablate"),
     "cache": ("cache", "cache"),
 }
