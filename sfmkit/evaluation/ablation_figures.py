@@ -23,7 +23,8 @@ from .result import ResultFigure
 INK, SOFT = "#333333", "#999999"
 MANY = "#555555"
 WIDTH = 7  # inches
-_MARKERS = "osD^vPX*<>hp"  # with the colours, for eyes that do not tell these apart
+# With the colours, for eyes that do not tell these apart; others are pentagons.
+_MARKERS = {"surf": "o", "orb": "s", "fast-brief": "D", "sift": "^", "akaze": "v", "kaze": "P", "brisk": "X"}
 
 
 def figures(f: Findings, folder: Path) -> list[ResultFigure]:
@@ -113,10 +114,11 @@ def pareto_figure(f: Findings) -> Figure:
         xscale="log", yscale="log" if (error.value[known] > 0).all() else "linear", xlabel="time on one core (s per pair)",
         ylabel=f"mean error, cut at {s.measure.show(main)} ({unit})", title="dashed: no other is both faster and better",
     )  # fmt: skip
-    for axis in (ax.xaxis, ax.yaxis):
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        digits = "23456789" if high < 8 * low else "235"
         axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axis.set_minor_formatter(FuncFormatter(lambda v, _: f"{v:.2g}" if f"{v:e}"[0] in "235" else ""))
-        axis.set_tick_params(which="minor", labelsize=8)
+        axis.set_minor_formatter(FuncFormatter(lambda v, _, digits=digits: f"{v:.2g}" if f"{v:e}"[0] in digits else ""))
+        axis.set_tick_params(which="both", labelsize=9)
     ax.grid(alpha=0.25)
     return figure
 
@@ -154,7 +156,7 @@ def _look(setup: Setup) -> tuple[str, str]:
     """Colour and marker: a single operator has its own, combinations are grey."""
     if len(setup.operators) > 1:
         return SOFT if len(setup.operators) == 2 else MANY, "."
-    return operator_colour(setup.operators[0]), _MARKERS[sum(setup.operators[0].encode()) % len(_MARKERS)]
+    return operator_colour(setup.operators[0]), _MARKERS.get(setup.operators[0], "p")
 
 
 def _whisker(ax, values: tuple[float, float, float], y: float, setup: Setup) -> None:
