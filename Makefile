@@ -1,15 +1,16 @@
 # Two commands do all of the set-up on a machine with Python 3.11+, pip/venv and make:
 #   make demo    the environment, then the main job on the bundled pair
 #   make test    the environment, then the tests
+#   make report  the paper's experiments on the data sets below SFMKIT_DATA, as one HTML page
 # A second run of either finds the environment ready and does no set-up again.
 
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-EXTRAS := notebook,peers,cluster,browser,dev
+EXTRAS := notebook,peers,cluster,browser,docs,dev
 
-.PHONY: demo test lab lint types build clean env
+.PHONY: demo test lab docs report lint types build clean env
 
 env: $(READY)
 
@@ -30,6 +31,21 @@ test: $(READY)
 
 lab: $(READY)
 	$(BIN)/sfmkit lab
+
+# Notebooks are shown as they are stored, without results; `make docs NOTEBOOKS=force` runs them for the site.
+NOTEBOOKS ?= off
+
+docs: $(READY)
+	$(BIN)/sphinx-build -W --keep-going -q -b html -D nb_execution_mode=$(NOTEBOOKS) docs out/docs
+
+# Goes on where it was interrupted; remove $(REPORT) to measure anew.
+REPORT ?= out/report
+
+report: $(READY)
+	$(BIN)/sfmkit bench oxford --out $(REPORT)/oxford
+	$(BIN)/sfmkit bench fountain --out $(REPORT)/fountain
+	$(BIN)/sfmkit bench uav --out $(REPORT)/uav
+	$(BIN)/sfmkit report $(REPORT)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -243,6 +243,6 @@ def _given_rows(
         moved = changed(cloud, xyz=found.similarity.apply(cloud.xyz), covariance=None)
         write_ply(out / ply_name(case, f"given-{path.stem}"), moved)
         how = f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} of it on ours"
-        doubt = "; another way fits nearly as well, check the picture" if found.ambiguous else ""
+        doubt = "; this is doubtful, check the picture" if found.doubtful else ""
         rows.append(row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt})
     return rows
