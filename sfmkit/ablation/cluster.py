@@ -72,12 +72,12 @@ class DaskEngine:
         except Exception as error:
             raise InputError(f"the cluster's workers cannot be asked for their version: {error}") from None
         for worker, version in found.items():
-            if version != engine_version():
+            if version != self._setup.version:
                 what = (
                     f"cannot import this sfmkit ({version!r})" if isinstance(version, Exception) else f"runs {version}"
                 )
                 raise InputError(
-                    f"the worker {worker} {what}, here is {engine_version()}; install the same version everywhere"
+                    f"the worker {worker} {what}, here is {self._setup.version}; install the same version everywhere"
                 )
 
     @property
@@ -96,7 +96,11 @@ class DaskEngine:
     def _share(self, key: str, data: bytes) -> Any:
         """The bytes in a worker's memory, from which the others fetch them; not through the scheduler."""
         if key not in self._shared:
-            self._shared[key] = self._client.scatter(data, hash=False)
+            try:
+                self._shared[key] = self._client.scatter(data, hash=False)
+            except (OSError, TimeoutError):  # that worker has just died: this once they go with the task
+                self._alive()
+                return data
         self._shared.move_to_end(key)
         while len(self._shared) > _SHARED:
             self._shared.popitem(last=False)
