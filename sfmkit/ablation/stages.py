@@ -1,4 +1,7 @@
-"""What a worker computes: features, matches and estimates, as entries of the cache."""
+"""What a worker computes: features, matches and estimates, as entries of the cache.
+
+Times are processor times: a worker computes on one thread, and what else the machine does is none of an operator's fault.
+"""
 
 from __future__ import annotations
 
@@ -83,11 +86,11 @@ def make_features(task: DetectTask, store: Store) -> Entry:
     s = task.setting
     with PeakMemory() as memory:
         image = store.image(task.image)
-        began = time.perf_counter()
+        began = time.process_time()
         f = detect(
             image, s.operator, budget=s.budget, max_size=s.max_size, preset=s.preset, **dict(s.options)  # type: ignore[arg-type]
         )  # fmt: skip
-        seconds = time.perf_counter() - began
+        seconds = time.process_time() - began
     arrays = {name: getattr(f, name) for name in _FEATURES}
     if f.laplacian is not None:
         arrays["laplacian"] = f.laplacian
@@ -113,10 +116,10 @@ def make_matches(task: MatchTask, store: Store) -> Entry:
     """Stage 2, one operator."""
     f1, f2 = (features_of(store.result(t)) for t in task.needs)
     with PeakMemory() as memory:
-        began = time.perf_counter()
+        began = time.process_time()
         o = task.options
         m = match(f1, f2, mutual=o.mutual, max_ratio=o.max_ratio, max_distance=o.max_distance)
-        seconds = time.perf_counter() - began
+        seconds = time.process_time() - began
     arrays = {"index1": m.index1, "index2": m.index2, "distance": m.distance, "ratio": m.ratio}
     return Entry(task.key, {"operator": task.operator, "seconds": seconds, "peak_mb": memory.mb}, arrays)
 
@@ -140,9 +143,9 @@ def estimate_combination(
         seconds["detect"] += sum(e.meta["seconds"] for e in found)
         seconds["match"] += made.meta["seconds"]
         peak = max(peak, *(e.meta["peak_mb"] for e in (made, *found)))
-    began = time.perf_counter()
+    began = time.process_time()
     fused = fuse_all(features, matches, task.variant.options.fuse)
-    seconds["fuse"] = time.perf_counter() - began
+    seconds["fuse"] = time.process_time() - began
     keypoints = [sum(len(pair[k]) for pair in features.values()) for k in (0, 1)]
     common = {
         "keypoints": keypoints,
@@ -153,12 +156,12 @@ def estimate_combination(
     for job in jobs:
         with PeakMemory() as memory, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            began = time.perf_counter()
+            began = time.process_time()
             if task.homography:
                 result = _homography(task, features, matches, fused, job.seed)
             else:
                 result = _two_view(task, fused, job.seed)
-            spent = seconds | {"estimate": time.perf_counter() - began}
+            spent = seconds | {"estimate": time.process_time() - began}
         meta = {**common, **result, "seconds": spent, "peak_mb": max(peak, memory.mb)}
         entries.append(Entry(job.key, meta))
     return entries
