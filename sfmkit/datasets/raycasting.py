@@ -57,7 +57,7 @@ def geometry(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int]) -> tu
 
 
 def radiance(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int], supersample: int) -> Array:
-    """(H, W, 3) float32 linear light, the mean of `supersample`^2 rays a pixel."""
+    """(H, W, 3) float32 linear light, the mean of ``supersample ** 2`` rays a pixel."""
     w, h = size_wh
     film = np.empty((h, w, 3), dtype=np.float32)
     offset = (np.arange(supersample) + 0.5) / supersample - 0.5

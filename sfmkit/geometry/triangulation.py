@@ -2,13 +2,13 @@
 
 What each method minimises, over the point X:
 
-========== ==================================================================================== =====================
-method     objective                                                                            cost per point
-========== ==================================================================================== =====================
-optimal    squared distances in the normalised image planes, ``|xn1 - x1(X)|^2 + |xn2 - x2(X)|^2`` closed form, 2 steps
-midpoint   squared distances in space from X to the two rays                                    closed form
-dlt        algebraic: the norm of ``A X`` over unit homogeneous X, A the four image equations    4 x 4 null vector
-========== ==================================================================================== =====================
+========== =============================================================================================== ===============
+method     objective                                                                                       cost per point
+========== =============================================================================================== ===============
+optimal    squared distances in the normalised image planes, ``|xn1 - x1(X)|^2 + |xn2 - x2(X)|^2``         closed form
+midpoint   squared distances in space from X to the two rays                                               closed form
+dlt        algebraic: the norm of ``A X`` over unit homogeneous X, A the four image equations              a null vector
+========== =============================================================================================== ===============
 
 For points of the same accuracy in both images `optimal` is the maximum-likelihood point when the two cameras share one
 focal length; the others differ from it in second order of the noise, visibly so at small parallax.
