@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+from . import page
 from .result import Cell, ResultFigure, ResultTable
 
 
@@ -28,7 +28,7 @@ class Section:
     folded: frozenset[str] = frozenset()
 
 
-def page(
+def ablation_page(
     title: str, lead: str, sections: Sequence[Section], notes: Sequence[str], facts: Mapping[str, str], folder: Path
 ) -> str:
     """The page.
@@ -36,38 +36,31 @@ def page(
     Args:
         lead: one paragraph below the title.
         notes: how to read it.
-        facts: circumstances, a line each.
+        facts: circumstances.
         folder: where the figures are; they are taken into the page.
     """
-    words = "".join(
-        f'<h3><a href="#part{k}">{escape(s.title)}</a></h3><ul class="answers">'
-        + "".join(f"<li>{escape(a)}</li>" for a in s.answers)
-        + "</ul>"
-        for k, s in enumerate(sections)
-        if s.answers
-    )
-    body = "".join(_section(s, f"part{k}", folder) for k, s in enumerate(sections))
-    terms = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in facts.items())
-    paragraphs = "".join(f"<p>{escape(note)}</p>" for note in notes)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<link rel="icon" href="data:,"><title>{escape(title)}</title><style>{_STYLE}</style></head>\n<body><main>'
-        f"<h1>{escape(title)}</h1><p>{escape(lead)}</p>\n<section><h2>The answers</h2>{words}</section>\n{body}"
-        f"<section><h2>How to read this</h2>{paragraphs}</section><section><h2>Circumstances</h2><dl>{terms}</dl></section>"
-        f"</main><script>{_SCRIPT}</script></body></html>\n"
-    )
+    words = "".join(page.heading(s.title) + _list(s.answers) for s in sections if s.answers)
+    parts = [
+        ("The answers", words),
+        *((s.title, _section(s, folder)) for s in sections),
+        ("How to read this", page.paragraphs(notes)),
+        ("Circumstances", page.facts(facts.items())),
+    ]
+    return page.page(title, [lead], parts, style=_STYLE, script=_SCRIPT)
 
 
-def _section(section: Section, anchor: str, folder: Path) -> str:
-    parts = [_figure(f, folder) for f in section.figures[:1]]
-    parts += [table(t, folded=t.name in section.folded) for t in section.tables]
-    parts += [_figure(f, folder) for f in section.figures[1:]]
-    return f'<section id="{anchor}"><h2>{escape(section.title)}</h2>{"".join(parts)}</section>\n'
+def _list(answers: Sequence[str]) -> str:
+    return '<ul class="answers">' + "".join(f"<li>{escape(a)}</li>" for a in answers) + "</ul>"
 
 
-def table(t: ResultTable, folded: bool = False) -> str:
-    """A table whose heads are buttons that sort it."""
+def _section(section: Section, folder: Path) -> str:
+    drawn = [page.figure(f.title, folder / f.file, f.alt) for f in section.figures]
+    listed = [sortable(t, folded=t.name in section.folded) for t in section.tables]
+    return "".join([*drawn[:1], *listed, *drawn[1:]])
+
+
+def sortable(t: ResultTable, folded: bool = False) -> str:
+    """A table whose heads are buttons that sort it; a folded one is closed at first."""
     heads = "".join(
         f'<th scope="col" aria-sort="none"{_right(c.right)}><button type="button">{_breaking(c.name)}</button></th>'
         for c in t.columns
@@ -76,14 +69,13 @@ def table(t: ResultTable, folded: bool = False) -> str:
         "<tr>" + "".join(_cell(v, text, c.right) for v, text, c in zip(row, shown, t.columns)) + "</tr>"
         for row, shown in zip(t.rows, t.shown())
     )
-    inside = (
-        f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(t.title, quote=True)}"><table id="{t.name}">'
-        f"<caption>{escape(t.title)}</caption><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>"
-        f'<p class="note">{escape(t.note)}</p>'
+    box = (
+        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(t.title)}"><table id="{t.name}">'
+        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{page.paragraphs([t.note], 'note')}"
     )
     if not folded:
-        return inside
-    return f"<details><summary>{escape(t.title)} ({len(t.rows):,} rows)</summary>{inside}</details>"
+        return page.heading(t.title) + box
+    return f"<details><summary>{escape(t.title)} ({len(t.rows):,} rows)</summary>{box}</details>"
 
 
 def _cell(value: Cell, text: str, right: bool) -> str:
@@ -100,48 +92,27 @@ def _breaking(text: str) -> str:
     return escape(text).replace("/", "/<wbr>")
 
 
-def _figure(f: ResultFigure, folder: Path) -> str:
-    data = base64.b64encode((folder / f.file).read_bytes()).decode()
-    return (
-        f'<figure><div class="scroll" role="region" tabindex="0" aria-label="{escape(f.title, quote=True)}">'
-        f'<img src="data:image/png;base64,{data}" alt="{escape(f.alt, quote=True)}"></div>'
-        f"<figcaption>{escape(f.title)}</figcaption></figure>"
-    )
-
-
 _STYLE = """
-:root{color-scheme:light dark;--ink:#1c2430;--soft:#5b6675;--line:#d5dae1;--paper:#fff;--band:#f3f5f8;--link:#0b5cad}
-@media(prefers-color-scheme:dark){:root{--ink:#e4e8ee;--soft:#a4afbd;--line:#3a4350;--paper:#14181e;--band:#1e242c;--link:#7db7f5}}
-*{box-sizing:border-box}
-body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,sans-serif}
-main{max-width:76rem;margin:0 auto;padding:1rem clamp(.8rem,3vw,2rem) 4rem}
-h1{font-size:1.6rem;line-height:1.25;margin:.5rem 0}h2{font-size:1.3rem;margin:2.5rem 0 .6rem;border-bottom:2px solid var(--line)}
-p,li,dd{max-width:62rem;overflow-wrap:anywhere}a{color:var(--link)}
-h3{margin:1.2rem 0 .2rem;font-size:1.1rem}
-.answers{padding-left:1.2rem}.answers li{margin:.35rem 0}.answers li:first-child{font-weight:650}
-.scroll{overflow-x:auto;margin:.8rem 0 .2rem}.scroll:focus-visible{outline:2px solid var(--link)}
-table{border-collapse:collapse;font-size:.86rem;font-variant-numeric:tabular-nums;min-width:100%}
-caption{text-align:left;font-weight:650;padding:.3rem 0;font-size:.95rem}
-th,td{padding:.22rem .5rem;border-bottom:1px solid var(--line);text-align:left;vertical-align:bottom;white-space:nowrap}
-td{vertical-align:top}.right{text-align:right}
-th:first-child,td:first-child{position:sticky;left:0;background:var(--paper);white-space:normal;min-width:8rem}
-@media(min-width:60rem){th:first-child,td:first-child{min-width:15rem}}
-tbody tr:nth-child(even) td{background:var(--band)}
-th button{all:unset;cursor:pointer;font-weight:650;white-space:normal;display:block;width:100%}
-th button:focus-visible{outline:2px solid var(--link);outline-offset:2px}
-th button:hover{color:var(--link)}
-th button::after{content:" \\2195";color:var(--soft);font-weight:400}
-th[aria-sort=ascending] button::after{content:" \\2191";color:var(--link)}
-th[aria-sort=descending] button::after{content:" \\2193";color:var(--link)}
-.note,figcaption{color:var(--soft);font-size:.84rem;margin:.2rem 0 1.4rem}
-figure{margin:1.2rem 0}img{display:block;width:100%;max-width:54rem;min-width:30rem;height:auto;background:#fff}
-summary{cursor:pointer;font-weight:650;padding:.4rem 0;color:var(--link)}
-dt{font-weight:650}dd{margin:0 0 .5rem}
-@media(max-width:480px){body{font-size:15px}table{font-size:.8rem}th,td{padding:.2rem .35rem}}
-@media print{:root{--ink:#000;--soft:#444;--line:#bbb;--paper:#fff;--band:#f6f6f6}body{font-size:9.5pt}
-main{max-width:none;padding:0}.scroll{overflow:visible}table{font-size:6.6pt;min-width:0}
-th,td{padding:.1rem .22rem;white-space:normal}th button::after{content:""!important}img{min-width:0;max-width:15cm}
-figure,tr{break-inside:avoid}h2,caption{break-after:avoid}}
+.answers { max-width: 56rem; padding-left: 1.2rem; } .answers li { margin: .3rem 0; overflow-wrap: anywhere; }
+.answers li:first-child { font-weight: 600; }
+#the-answers, #the-answers h2 { border: 0; margin-top: .5rem; }
+th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper); white-space: normal; min-width: 8rem; }
+@media (min-width: 60rem) { th:first-child, td:first-child { min-width: 13rem; } }
+table { font-size: .82rem; border-collapse: separate; border-spacing: 0; } th, td { padding: .26rem .45rem; }
+nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; list-style: none; padding: 0; }
+tbody tr:hover td { background: var(--band); }
+th button { all: unset; cursor: pointer; display: block; width: 100%; font-weight: 600; }
+th button:focus-visible { outline: 2px solid var(--link); outline-offset: 2px; }
+th button:hover { color: var(--link); }
+th button::after { content: "\\00a0\\2195"; color: var(--soft); font-weight: 400; }
+th[aria-sort=ascending] button::after { content: "\\00a0\\2191"; color: var(--link); }
+th[aria-sort=descending] button::after { content: "\\00a0\\2193"; color: var(--link); }
+figure { overflow-x: auto; } figure img { width: 100%; min-width: 30rem; max-width: 52rem; }
+summary { cursor: pointer; font-weight: 600; padding: .4rem 0; color: var(--link); }
+@media (max-width: 30rem) { table { font-size: .8rem; } th, td { padding: .2rem .35rem; } }
+@media print { body { font-size: 9.5pt; } nav { display: none; } table { font-size: 6.6pt; min-width: 0; }
+  th, td { padding: .1rem .22rem; } td { white-space: normal; } th button::after { content: "" !important; }
+  figure img { min-width: 0; max-width: 15cm; } figure, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } }
 """
 
 # The first click on a column of numbers puts the largest first, on one of text the first of the alphabet; the next turns

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..writing import staged_folder
 from .ablation_figures import draw_ranking, figures
 from .ablation_findings import Findings, analyse, answers, overall
-from .ablation_page import Section, page
+from .ablation_page import Section, ablation_page
 from .ablation_scores import Ablation, score
 from .ablation_tables import ranking_table, tables
 from .latex import latex_table
@@ -84,7 +84,7 @@ def write_report(sweep: str | os.PathLike, say: Say = lambda stage, detail: None
             **result.machine,
             "versions": ", ".join(map(" ".join, result.versions.items())),
         }
-        text = page(result.title, _lead(ablation), sections, _NOTES, facts, staged)
+        text = ablation_page(result.title, _lead(ablation), sections, _NOTES, facts, staged)
         (staged / PAGE).write_text(text, encoding="utf-8")
         names = sorted(file.name for file in staged.iterdir())
     done = folder / FOLDER

@@ -42,8 +42,8 @@ def setup_table(f: Findings) -> ResultTable:
         ))  # fmt: skip
     columns = (
         Column("setup"), *(Column(f"AUC {s.measure.show(t)}", ".3f") for t in s.measure.thresholds),
-        Column(f"95 % of AUC {s.measure.show(main)}", ">"), Column(f"median, {unit}", ".3g"), Column("95 % of median", ">"),
-        Column(f"mean, {unit}", ".3g"), Column("95 % of mean", ">"), Column("no answer", "d"),
+        Column(f"95 % of AUC {s.measure.show(main)}", ">"), Column(f"median, {unit}", ".3f"), Column("95 % of median", ">"),
+        Column(f"mean, {unit}", ".3f"), Column("95 % of mean", ">"), Column("no answer", "d"),
         Column("s per pair", ".2f"), Column("on the front"), Column("best in, %", ".0f"),
     )  # fmt: skip
     note = (

@@ -7,6 +7,7 @@ can be mailed, and viewed without a network.
 from __future__ import annotations
 
 import base64
+import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -63,13 +64,18 @@ dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 _LONG = 44  # characters from which a cell may be broken into lines
 
 
-def page(title: str, intro: Sequence[str], sections: Sequence[tuple[str, str]]) -> str:
+def page(
+    title: str, intro: Sequence[str], sections: Sequence[tuple[str, str]], *, style: str = "", script: str = ""
+) -> str:
     """The whole page.
 
     Args:
         title, intro: its head and paragraphs, plain text.
         sections: (heading, HTML made by the functions below); with two or more there is a table of contents.
+        style, script: CSS and JavaScript of one's own; no other script can run.
     """
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    scripts = f"; script-src 'sha256-{digest}'" if script else ""
     anchors = _anchors([heading for heading, _ in sections])
     contents = "".join(f'<li><a href="#{a}">{escape(h)}</a></li>' for a, (h, _) in zip(anchors, sections))
     body = "".join(
@@ -79,11 +85,12 @@ def page(title: str, intro: Sequence[str], sections: Sequence[tuple[str, str]]) 
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         # Nothing may be fetched or run, whatever the results hold.
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body><main>"
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+        f'{scripts}">'
+        f"<title>{escape(title)}</title><style>{_STYLE}{style}</style></head><body><main>"
         f"<h1>{escape(title)}</h1>{paragraphs(intro)}"
         + (f"<nav><ul>{contents}</ul></nav>" if len(sections) > 1 else "")
-        + f"{body}</main></body></html>\n"
+        + f"{body}</main>{f'<script>{script}</script>' if script else ''}</body></html>\n"
     )
 
 

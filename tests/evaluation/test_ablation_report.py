@@ -20,7 +20,7 @@ from sfmkit.cli import main
 from sfmkit.errors import InputError
 from sfmkit.evaluation.ablation_contributions import contributions
 from sfmkit.evaluation.ablation_findings import analyse, answers, overall
-from sfmkit.evaluation.ablation_page import page
+from sfmkit.evaluation.ablation_page import Section, ablation_page
 from sfmkit.evaluation.ablation_report import write_report
 from sfmkit.evaluation.ablation_scores import score
 from sfmkit.evaluation.ablation_tables import tables
@@ -214,9 +214,7 @@ def test_the_command_prints_the_answers_and_refuses_what_is_no_sweep(tmp_path):
 def test_text_on_the_page_cannot_break_out(tmp_path):
     evil = "<script>alert(1)</script>\"'&"
     t = ResultTable("t", evil, (Column(evil),), ((evil,),), evil)
-    from sfmkit.evaluation.ablation_page import Section
-
-    html = page(evil, evil, [Section(evil, (evil,), (t,))], [evil], {evil: evil}, tmp_path)
+    html = ablation_page(evil, evil, [Section(evil, (evil,), (t,))], [evil], {evil: evil}, tmp_path)
     assert html.count("<script>") == 1
     assert "alert(1)</script>" not in html
 
