@@ -131,7 +131,8 @@ def ablate(
         if ship == "bytes" and scheduler is None:
             raise InputError("ship='bytes' is for a cluster (scheduler=...); local processes see the same files")
         Sweep(plan, folder, store, watch).run(engine)
-        watch(Progress("merge", what=str(folder.path)))
+        rows = sum(len(unit.jobs) for unit in plan.units)
+        watch(Progress("merge", rows, rows, str(folder.path), 0.0))
         return folder.merge(plan)
 
 

@@ -15,6 +15,7 @@ from rich.text import Text
 from .run import Progress, Watcher
 from .table import FAILED, AblationTable
 
+_WIDTH = 130  # of the overview in a file, characters
 _LONGEST = 30  # combinations in the overview
 
 
@@ -47,7 +48,7 @@ def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watche
         TextColumn("{task.fields[stage]:<5}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), _Left(),
         TextColumn("{task.description}"),
     )  # fmt: skip
-    with Bars(*columns, console=console) as bars:
+    with Bars(*columns, console=console, transient=True) as bars:
         task = bars.add_task("", total=None, stage="plan", left=None)
 
         def watch(p: Progress) -> None:
@@ -65,6 +66,8 @@ def print_overview(table: AblationTable) -> None:
     for row in table:
         groups.setdefault((row["dataset"], row["combination"], row["preset"]), []).append(row)
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=_WIDTH)  # a file has no width to respect
     shown = Table("data", "combination", "preset", "median error", "no estimate", "failed", "inliers", "seconds")
     for column in shown.columns[3:]:
         column.justify = "right"
