@@ -49,7 +49,7 @@ report: $(READY)
 
 lint: $(READY)
 	$(BIN)/ruff check .
-	$(BIN)/ruff format --check sfmkit tests benchmarks
+	$(BIN)/ruff format --check sfmkit tests benchmarks notebooks docs/conf.py
 
 types: $(READY)
 	$(BIN)/mypy
