@@ -48,11 +48,11 @@ def write_outputs(
             write_colmap(staged / "colmap", result.two_view, result.correspondences, result.cloud,
                          (name_of(result.images[0], 1), name_of(result.images[1], 2)))  # fmt: skip
         if pictures:
-            from .viz.plots import save_cloud_picture, save_match_picture
+            from .viz.figures import cloud_picture, match_picture, save
 
-            save_match_picture(staged / "matches.png", result)
+            save(match_picture(result), staged / "matches.png")
             if result.cloud is not None and len(result.cloud):
-                save_cloud_picture(staged / "cloud.png", result.cloud)
+                save(cloud_picture(result.cloud), staged / "cloud.png")
         if recording:
             from .viz.rerun import save_recording
 
