@@ -129,6 +129,11 @@ def answers(f: Findings) -> list[str]:
         f"{_plural(n, 'pair')} and {s.seeds} {_plural(s.seeds, 'seed')}"
         + (f"; {failed} of its {runs} runs gave no answer." if failed else "; every run gave an answer.")
     ]
+    if broken := int(s.broken.sum()):
+        words.append(
+            f"{broken:,} of all {s.broken.size:,} runs broke off, and count as the worst there is; the column failure of the sweep's "
+            "table says why."
+        )
     if n < _FEW:
         words.append(f"So few pairs ({n}) make intervals that are too narrow, and say little about other photographs.")
     if f.runner_up is None:
@@ -220,7 +225,7 @@ def _p(p: float) -> str:
 
 
 def _between(low: float, high: float) -> str:
-    return "" if np.isnan(low) else f" ({low:.3f} to {high:.3f})"
+    return "" if np.isnan(low) else f" ({low:.3f} to {high:.3f})".replace("-0.000", "0.000")
 
 
 def _list(parts: list[str], last: str = "and") -> str:

@@ -76,7 +76,9 @@ def test_runs_that_broke_are_the_worst_and_rows_without_a_truth_are_said(rows):
     surf = [s.operators for s in block.setups].index(("surf",))
     assert block.failures[surf] == 15 == block.broken[:, surf].sum()
     assert block.quality[:5, surf].tolist() == [0] * 5
-    assert np.isfinite(analyse(block).seconds.value).all()  # of the pairs that all have a time for
+    findings = analyse(block)
+    assert np.isfinite(findings.seconds.value).all()  # of the pairs that all have a time for
+    assert any("15 of all 420 runs broke off" in a for a in answers(findings))
 
 
 def test_incomplete_and_truthless_sweeps_are_refused_with_what_to_do(rows):
