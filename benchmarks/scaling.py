@@ -1,0 +1,287 @@
+"""Where a sweep over a million pairs stops scaling: an event model fed with recorded task times.
+
+    python benchmarks/scaling.py record SWEEP CACHE     task times and sizes of a sweep -> benchmarks/scaling_times.json
+    python benchmarks/scaling.py overhead               what handing out one task costs, local and Dask
+    python benchmarks/scaling.py simulate [--plot docs/images/ablation-scaling.png]
+
+The model is a closed network of three stations. Workers take turns at the scheduler, which serves one at a time for as
+long as a task costs it; fetch their task's arrays through a store of limited total bandwidth, shared in the order of
+arrival; and compute for a time drawn from the records. Throughput is counted after the start has settled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import random
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+TIMES = Path(__file__).with_name("scaling_times.json")
+WORKERS = [1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192]
+
+SHARD = 100  # pairs
+
+Task = tuple[float, float]  # seconds of computing, megabytes through the store
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A way to run the sweep.
+
+    Attributes:
+        name: for the legend.
+        tasks: recorded pair -> its tasks.
+        scheduler_s: seconds of the scheduler a task.
+        store_mb_s: total bandwidth of the shared store; infinite where every node keeps its own.
+        pairs_a_task: recorded pairs that `tasks` stands for.
+    """
+
+    name: str
+    tasks: Callable[[dict], list[Task]]
+    scheduler_s: float
+    store_mb_s: float = float("inf")
+    pairs_a_task: int = 1
+
+
+def as_run(pair: dict) -> list[Task]:
+    """Detections, matchings and units of estimates as tasks of their own; arrays through the shared cache."""
+    features = [(s, mb) for s, mb in zip(pair["detect"], pair["detect_mb"])]
+    matches = [
+        (s, 2 * sum(pair["detect_mb"]) / len(pair["detect"]) + mb) for s, mb in zip(pair["match"], pair["match_mb"])
+    ]
+    unit_mb = sum(pair["detect_mb"]) + sum(pair["match_mb"])
+    return [*features, *matches, *((s, unit_mb) for s in pair["estimate"])]
+
+
+def one_task(pair: dict) -> list[Task]:
+    """A pair is one task; its arrays still go to the shared cache, once."""
+    mb = sum(pair["detect_mb"]) + sum(pair["match_mb"])
+    return [(sum(pair["detect"]) + sum(pair["match"]) + sum(pair["estimate"]), mb)]
+
+
+def one_shard(pair: dict) -> list[Task]:
+    """SHARD pairs are one task, which a node plans and carries out by itself."""
+    return [(SHARD * one_task(pair)[0][0], 0.0)]
+
+
+def throughput(workers: int, layout: Layout, pairs: list[dict], rng: random.Random) -> float:
+    """Pairs an hour of `workers` workers."""
+    tasks = [task for pair in pairs for task in layout.tasks(pair)]
+    per_pair = len(tasks) / len(pairs)
+    count = max(6 * workers, 4000)
+    settle = count // 3
+    free_scheduler = free_store = 0.0
+    # Events: a worker asks for a task at its time; stations are served in the order of the events.
+    asks = [(rng.uniform(0, 1), k) for k in range(workers)]
+    heapq.heapify(asks)
+    ends = []
+    for _ in range(count):
+        now, k = heapq.heappop(asks)
+        seconds, mb = rng.choice(tasks)
+        ready = free_scheduler = max(now, free_scheduler) + layout.scheduler_s
+        if layout.store_mb_s != float("inf"):
+            ready = free_store = max(ready, free_store) + mb / layout.store_mb_s
+        heapq.heappush(asks, (ready + seconds, k))
+        ends.append(ready + seconds)
+    ends.sort()
+    last = count - workers  # from here on the end of the experiment shows: workers that ask find nothing to do
+    return (last - settle) / (ends[last - 1] - ends[settle - 1]) / per_pair * layout.pairs_a_task * 3600
+
+
+def simulate(args: argparse.Namespace) -> None:
+    records = json.loads(TIMES.read_text())
+    pairs, rng = records["pairs"], random.Random(0)
+    cost = records["overhead_s"]
+    task_s, pair_s = cost["dask"], cost["coordinator_pair"]
+    each = statistics.mean(len(as_run(p)) for p in pairs)
+    layouts = [
+        Layout("tasks as now, store of 1 GB/s", as_run, task_s + pair_s / each, 1_000),
+        Layout("tasks as now, store of 10 GB/s", as_run, task_s + pair_s / each, 10_000),
+        Layout("a pair a task, store of 10 GB/s", one_task, task_s + pair_s, 10_000),
+        Layout("a pair a task, caches of the nodes", one_task, task_s + pair_s),
+        Layout(f"{SHARD} pairs a task, caches of the nodes", one_shard, task_s, pairs_a_task=SHARD),
+    ]
+    work = statistics.mean(one_task(p)[0][0] for p in pairs)
+    mb = statistics.mean(one_task(p)[0][1] for p in pairs)
+    print(f"{len(pairs)} recorded pairs: {work:.1f} s of one core, {mb:.0f} MB, {each:.0f} tasks a pair")
+    print(
+        f"a task through Dask {1e3 * task_s:.1f} ms, a pair's rows {1e3 * pair_s:.1f} ms of the one who hands out work\n"
+    )
+    print("| workers | " + " | ".join(x.name for x in layouts) + " |\n|---:|" + "---:|" * len(layouts))
+    curves: dict[str, list[float]] = {x.name: [] for x in layouts}
+    for w in WORKERS:
+        for x in layouts:
+            curves[x.name].append(throughput(w, x, pairs, random.Random(rng.random())))
+        print(f"| {w:,} | " + " | ".join(f"{curves[x.name][-1]:,.0f}" for x in layouts) + " |", flush=True)
+    print("\nhalf of what the workers could do, at about:")
+    for x in layouts:
+        ideal = [w * 3600 / work for w in WORKERS]
+        bent = next((w for w, c, i in zip(WORKERS, curves[x.name], ideal) if c < i / 2), None)
+        print(f"  {x.name}: {f'{bent:,} workers' if bent else f'beyond {WORKERS[-1]:,} workers'}")
+    if args.plot:
+        plot(curves, work, Path(args.plot))
+
+
+def plot(curves: dict[str, list[float]], work: float, file: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    axes.loglog(
+        WORKERS, [w * 3600 / work for w in WORKERS], color="0.7", linestyle="--", label="if nothing were shared"
+    )
+    for (name, values), style in zip(curves.items(), ("o-", "s-", "^-", "v-", "D-")):
+        axes.loglog(WORKERS, values, style, label=name, markersize=4)
+    axes.axhline(1e6 / 24, color="0.85", zorder=0)
+    axes.text(1, 1e6 / 24 * 1.1, "a million pairs a day", color="0.4", fontsize=8)
+    axes.set(xlabel="workers (one core each)", ylabel="pairs an hour (31 combinations, 3 seeds each)")
+    axes.grid(which="major", alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.savefig(file, dpi=110)
+    print(file)
+
+
+def record(args: argparse.Namespace) -> None:
+    """Task times (processor time) and sizes of the pairs of a sweep, finished or not, from its cache."""
+    from sfmkit.ablation.cache import Cache
+    from sfmkit.ablation.folder import read_sweep
+    from sfmkit.ablation.plan import make_plan
+    from sfmkit.ablation.tasks import EstimateTask
+
+    cache, sweep = Cache(args.cache), read_sweep(args.sweep)
+    names = ",".join(dict.fromkeys(p["dataset"] for p in sweep["pairs"]))
+    plan = make_plan(
+        names, sweep["operators"], combos=["/".join(c) for c in sweep["combinations"]], seeds=sweep["seeds"]
+    )
+    units: dict[int, list[EstimateTask]] = {}
+    for unit in plan.units:
+        units.setdefault(unit.pair, []).append(unit)
+    found = []
+    for index, mine in units.items():
+        matches = {m.key: m for unit in mine for m in unit.needs}
+        detections = {d.key: d for m in matches.values() for d in m.needs}
+        estimates = [[cache.get("estimates", job.key) for job in unit.jobs] for unit in mine]
+        if not all(entry is not None for unit in estimates for entry in unit):
+            continue
+        sides = {
+            kind: [(cache.get(kind, key), cache.path(kind, key).stat().st_size / 1e6) for key in keys]
+            for kind, keys in (("features", detections), ("matches", matches))
+        }  # fmt: skip
+        # Fusing is counted once for all seeds of a combination.
+        spent = [
+            sum(e.meta["seconds"]["estimate"] for e in unit) + sum({id(j): e.meta["seconds"]["fuse"] for j, e in zip(task.jobs, unit)}.values()) / plan.seeds
+            for task, unit in zip(mine, estimates)
+        ]  # fmt: skip
+        found.append({
+            "pair": str(plan.pairs[index]),
+            "detect": [round(e.meta["seconds"], 4) for e, _ in sides["features"]],
+            "detect_mb": [round(mb, 3) for _, mb in sides["features"]],
+            "match": [round(e.meta["seconds"], 4) for e, _ in sides["matches"]],
+            "match_mb": [round(mb, 3) for _, mb in sides["matches"]],
+            "estimate": [round(s, 3) for s in spent],
+        })  # fmt: skip
+    old = json.loads(TIMES.read_text()) if TIMES.exists() else {"overhead_s": {}}
+    TIMES.write_text(json.dumps(old | {"pairs": found}) + "\n")
+    print(f"{len(found)} pairs in {TIMES}")
+
+
+def overhead(args: argparse.Namespace) -> None:
+    """Processor time of the one who hands out work: a task through Dask, and a pair's planning, rows and shards."""
+    from distributed import LocalCluster
+
+    from sfmkit.ablation.cluster import DaskEngine
+    from sfmkit.ablation.plan import make_plan
+    from sfmkit.ablation.version import engine_version
+    from sfmkit.ablation.worker import Parcel, Setup
+
+    with tempfile.TemporaryDirectory() as folder:
+        pair = next(iter(pairs_of_planes()))
+        task = next(iter(make_plan([pair], ["orb"], images=Path(folder)).detections.values()))
+        # The scheduler runs in this process, so its time is in ours. The task is in the cache after the first time.
+        with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+            engine = DaskEngine(cluster.scheduler_address, Setup(engine_version(), folder))
+            for _ in range(20):
+                engine.submit(task, Parcel())
+                engine.next()
+            n, began = 500, time.process_time()
+            for _ in range(n):
+                engine.submit(task, Parcel())
+                engine.next()
+            spent = (time.process_time() - began) / n
+            engine.close()
+    result = {"dask": round(spent, 6), "coordinator_pair": round(coordinator(), 6)}
+    old = json.loads(TIMES.read_text()) if TIMES.exists() else {"pairs": []}
+    TIMES.write_text(json.dumps(old | {"overhead_s": result}) + "\n")
+    print({k: f"{1e3 * v:.2f} ms" for k, v in result.items()})
+
+
+def pairs_of_planes() -> list:
+    from sfmkit.datasets import pairs
+
+    return list(pairs("planes", sequences=["blur"], size_wh=(160, 120)))
+
+
+def coordinator() -> float:
+    """Seconds a pair that planning, scheduling, building rows and writing shards take, with instant workers."""
+    from sfmkit.ablation import run
+    from sfmkit.ablation.tasks import EstimateTask
+    from sfmkit.ablation.worker import Outcome
+
+    found = pairs_of_planes()
+    estimate = {
+        "keypoints": [9, 9], "matches": 9, "correspondences": 9, "inliers": 9, "guided": 9, "verdict": "planar", "reason": "",
+        "H": [1.0, 0, 0, 0, 1, 0, 0, 0, 1], "R": None, "t": None, "peak_mb": 1.0, "versions": {}, "machine": "",
+        "seconds": {"detect": 1.0, "match": 1.0, "fuse": 1.0, "estimate": 1.0},
+    }  # fmt: skip
+
+    class Instant:
+        shares_files, slots = True, 2
+
+        def __init__(self, *args: object):
+            self.tasks: list = []
+
+        def submit(self, task: object, parcel: object) -> None:
+            self.tasks.append(task)
+
+        def next(self) -> tuple:
+            task = self.tasks.pop()
+            jobs = task.jobs if isinstance(task, EstimateTask) else ()
+            return task, Outcome("done", estimates={job.key: estimate for job in jobs})
+
+        def close(self) -> None: ...
+
+    before, run.LocalEngine = run.LocalEngine, Instant  # type: ignore[misc, assignment]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.process_time()
+            run.ablate(found, ["surf", "orb", "fast-brief", "sift", "akaze"], seeds=3, cache=Path(folder))
+            return (time.process_time() - began) / len(found)
+    finally:
+        run.LocalEngine = before  # type: ignore[misc]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("record")
+    one.add_argument("sweep", type=Path)
+    one.add_argument("cache", type=Path)
+    one.set_defaults(run=record)
+    commands.add_parser("overhead").set_defaults(run=overhead)
+    two = commands.add_parser("simulate")
+    two.add_argument("--plot")
+    two.set_defaults(run=simulate)
+    args = parser.parse_args()
+    args.run(args)
+
+
+if __name__ == "__main__":
+    main()
