@@ -130,7 +130,7 @@ def run(
         from ..ablation.watching import print_overview
 
         print_overview(table)
-        click.echo(f"{len(table):,} rows in {table.path}; sfmkit.ablation.read_table reads them")
+        click.echo(f"{len(table):,} rows in {table.path}; `sfmkit ablate report {out}` judges them")
 
 
 def print_plan(
