@@ -26,6 +26,7 @@ exclude_patterns = ["_build", "notebooks/solutions", "**/.ipynb_checkpoints", "a
 html_theme = "furo"
 html_static_path: list[str] = []
 html_copy_source = False
+html_show_copyright = False
 
 myst_enable_extensions = ["amsmath", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -7,7 +7,7 @@ Answers are values or functions; a function is tried on the exercise's own input
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from textwrap import fill
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from .errors import InputError
 
+ROUNDED = 0.01  # an answer this near, relatively, was meant to be the value
 WIDTH = 96  # characters: a cell of a notebook breaks longer lines in the middle of words
 
 
@@ -86,9 +87,12 @@ def _judge_value(task: Exercise, answer: Any) -> Judgement:
         return Judgement(False, "A value is asked for here, not a function: call it and give what it returns.")
     if _same(answer, task.right(), task):
         return Judgement(True, "Right.")
+    rounded = replace(task, tolerance=max(task.tolerance, ROUNDED))  # what goes wrong is told of rounded numbers too
     for mistake, why in task.wrong:
-        if _same(answer, mistake(), task):
+        if _same(answer, mistake(), rounded):
             return Judgement(False, why)
+    if _same(answer, task.right(), rounded):
+        return Judgement(False, "Close, but not close enough: give more digits.")
     return Judgement(False, _difference(answer, task.right(), task))
 
 
@@ -149,6 +153,10 @@ def _difference(answer: Any, expected: Any, task: Exercise) -> str:
     if isinstance(expected, str):
         return f"Not so. {task.question}"
     a, e = _array(answer), np.asarray(expected, dtype=np.float64)
+    if answer is None:
+        return f"Your answer is None: was it computed? {task.question}"
+    if isinstance(answer, str):
+        return f"A number is asked for, without words or units. {task.question}"
     if a is None:
         return f"A number or an array is asked for, not {type(answer).__name__}."
     if np.squeeze(a).shape != np.squeeze(e).shape:
@@ -156,8 +164,8 @@ def _difference(answer: Any, expected: Any, task: Exercise) -> str:
     if not np.isfinite(a).all():
         return "Your answer holds NaN or infinite values: is something divided by zero?"
     if e.size == 1 and not task.up_to_scale and np.abs(e).max() > 0:
-        factor = float((a / e).ravel()[0])
-        return f"Not right: your value is {factor:.3g} times the right one. {task.question}"
+        size = "small" if float(a.ravel()[0]) < float(e.ravel()[0]) else "large"
+        return f"Not right: your value is too {size}. {task.question}"
     if not task.up_to_scale and np.allclose(-a, e, rtol=0, atol=task.tolerance * max(np.abs(e).max(), 1e-12)):
         return "Only the sign is wrong."
     if np.squeeze(a).ndim == 2 and a.shape == e.T.shape and _same(np.squeeze(a).T, np.squeeze(e), task):
