@@ -33,6 +33,8 @@ class Findings:
         questions: the best against the runner-up and against every operator alone, one family of tests.
         rivals: the best against every other setup, one family of tests.
         every: all differences, one family of tests.
+        fusion: all operators together against the one that is best alone, with the best's preset and settings; None where
+            the sweep does not have both.
         ranking: None for a single setup.
         contributions: for each preset and choice of settings.
     """
@@ -49,6 +51,7 @@ class Findings:
     questions: list[Difference]
     rivals: list[Difference]
     every: list[Difference]
+    fusion: Difference | None
     ranking: Ranking | None
     contributions: list[Contributions]
 
@@ -70,8 +73,11 @@ def analyse(scores: Scores) -> Findings:
     best = int(order[0])
     runner_up = int(order[1]) if len(order) > 1 else None
     setup = scores.setups[best]
-    alone = [setup.only([o]) for o in scores.operators]
-    asked = [c for c, s in enumerate(scores.setups) if s in alone and c not in (best, runner_up)]
+    alone = [c for c, s in enumerate(scores.setups) if s in [setup.only([o]) for o in scores.operators]]
+    fused = [c for c, s in enumerate(scores.setups) if s.operators == scores.operators and s not in alone]
+    fused = [c for c in fused if scores.setups[c].only(setup.operators) == setup]
+    together = [(fused[0], max(alone, key=lambda c: float(q[:, c].mean())))] if fused and alone else []
+    asked = [c for c in alone if c not in (best, runner_up)]
     asked = ([] if runner_up is None else [runner_up]) + asked
     timed = _seconds(scores)
     auc = {t: mean_interval(scores.auc(t)) for t in scores.measure.thresholds}
@@ -88,6 +94,7 @@ def analyse(scores: Scores) -> Findings:
         questions=differences(q, [(best, c) for c in asked]),
         rivals=differences(q, [(best, int(c)) for c in order[1:]]),
         every=differences(q, list(combinations(map(int, order), 2))),
+        fusion=next(iter(differences(q, together)), None),
         ranking=rank(q) if len(order) > 1 else None,
         contributions=contributions(scores),
     )
@@ -150,9 +157,11 @@ def answers(f: Findings) -> list[str]:
         )
     )
     alone = [d for d in f.questions if d.second in s.singles]
-    if alone and len(s.setups[f.best].operators) > 1:
+    if alone:
         words.append(_against_singles(f, alone))
     words.append(_cheapest(f))
+    if f.fusion is not None:
+        words.append(_fusion(f, f.fusion))
     words += _shares(f)
     return words
 
@@ -171,7 +180,17 @@ def _against_singles(f: Findings, alone: list[Difference]) -> str:
             "no difference is shown from "
             + _list([f"{s.label(d.second)} ({d.value:+.3f}, p {_p(d.p_holm)})" for d in open_])
         )
-    return f"Against every operator alone: {'; '.join(said)}."
+    return f"Against the operators alone: {'; '.join(said)}."
+
+
+def _fusion(f: Findings, d: Difference) -> str:
+    s = f.scores
+    reach, alone = (float(s.quality[:, c].mean()) for c in (d.first, d.second))
+    return (
+        f"Does fusing help? All {len(s.operators)} operators together reach {reach:.3f}, the best of them alone, {s.label(d.second)}, "
+        f"{alone:.3f}: {d.value:+.3f}{_between(d.low, d.high)}, better on {d.better} of {len(s.pairs)} pairs and worse on {d.worse}; "
+        + _verdict(d, len(s.pairs), 1)
+    )
 
 
 def _cheapest(f: Findings) -> str:
@@ -211,13 +230,14 @@ def _shares(f: Findings) -> list[str]:
 
 
 def _verdict(d: Difference, pairs: int, tests: int) -> str:
+    p = f"p {_p(d.p_holm)}" + (f", corrected for {tests} tests" if tests > 1 else "")
     if d.real:
-        return f"the difference is real (p {_p(d.p_holm)}, corrected for {tests} {_plural(tests, 'test')})."
+        return f"the difference is real ({p})."
     if least_p(pairs, tests) >= ALPHA:
         return (
             f"so few pairs cannot show a difference, however large (p could not be below {least_p(pairs, tests):.2f})."
         )
-    return f"the difference is not shown to be real (p {_p(d.p_holm)}, corrected for {tests} {_plural(tests, 'test')})."
+    return f"the difference is not shown to be real ({p})."
 
 
 def _p(p: float) -> str:

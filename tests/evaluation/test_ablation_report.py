@@ -98,6 +98,8 @@ def test_the_best_is_found_and_so_are_its_differences(findings):
     assert "Best: surf/orb/fast-brief" in text
     assert "the difference is real" in text
     assert "It is better than every other of the 7 setups." in text
+    assert "Does fusing help? All 3 operators together reach" in text
+    assert findings.scores.label(findings.fusion.second) == "surf"
     (c,) = findings.contributions
     assert c.operators[int(np.argmax(c.shapley.value))] == "surf"
     everything = findings.scores.quality[:, findings.best].mean()
