@@ -10,6 +10,7 @@ from torch import Tensor
 from ..errors import InputError
 from ._checks import check_matrices, check_points
 from .coordinates import _hartley
+from .homography import _homography_sampson
 from .losses import marginal_score, marginal_weight
 
 _TOLERANCE = 1e-7  # of the score: the gain of a step at convergence
@@ -41,6 +42,9 @@ def refine_homography(
     Matches beyond the threshold do not count, those within count less the farther they are; H may move until others
     come within.
 
+    The maximum is differentiable by x1, x2 and weights (first derivatives, implicit function theorem, exact Hessian); the
+    start has derivative zero.
+
     Args:
         H: (3, 3) ``x2 = H x1`` in pixels.
         x1, x2: (N, 2) pixels, float64.
@@ -57,6 +61,9 @@ def refine_homography(
     """
     check_points(0, weights, x1=x1, x2=x2)
     check_matrices(x1, H=H)
+    given = (x1, x2, weights)
+    H, x1, x2 = H.detach(), x1.detach(), x2.detach()
+    weights = None if weights is None else weights.detach()
     if not threshold_px > 0:
         raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
     if len(x1) < _LEAST_MATCHES:
@@ -104,6 +111,30 @@ def refine_homography(
         if gain <= _TOLERANCE * best:
             break
     H = torch.linalg.inv(T2) @ G @ T1
+    H = H / H[2, 2]
+    if torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in given):
+        return _attach_derivatives(H, *given, threshold_px)
+    return H
+
+
+def _attach_derivatives(H: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None, threshold_px: float) -> Tensor:
+    """One exact Newton step from the maximum, recorded through the data only: first derivatives are right."""
+    (_, T1), (_, T2) = _hartley(x1.detach()), _hartley(x2.detach())  # coordinates in which the Hessian is benign
+    G = T2 @ H @ torch.linalg.inv(T1)
+    corner = G[2, 2]
+    free = (G / corner).flatten()[:8]
+
+    def cost(g: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None) -> Tensor:
+        G = torch.cat((g, g.new_ones(1))).view(3, 3)
+        square = _homography_sampson(torch.linalg.inv(T2) @ G @ T1, x1, x2)
+        each = marginal_score(square.clamp(max=threshold_px**2), threshold_px)
+        return -(each if weights is None else each * weights).sum()
+
+    gradient = torch.func.grad(cost)
+    fixed = [None if a is None else a.detach() for a in (x1, x2, weights)]
+    hessian = torch.func.jacfwd(gradient)(free, *fixed)
+    step = -torch.linalg.pinv(hessian, rtol=1e-14) @ gradient(free, x1, x2, weights)
+    H = torch.linalg.inv(T2) @ torch.cat((free + step, free.new_ones(1))).view(3, 3) @ T1
     return H / H[2, 2]
 
 

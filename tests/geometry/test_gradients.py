@@ -1,0 +1,129 @@
+"""Derivatives of the small functions by finite differences; those of the solvers stand beside their other tests."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from made_up_scene import make_scene
+
+from sfmkit.geometry.coordinates import (
+    denormalize,
+    from_homogeneous,
+    hartley_normalization,
+    inverse_intrinsics,
+    normalize,
+    to_homogeneous,
+)
+from sfmkit.geometry.essential import essential_from_pose
+from sfmkit.geometry.fundamental import squared_sampson_distance
+from sfmkit.geometry.homography import homography_from_pose, transfer
+from sfmkit.geometry.homography_refinement import refine_homography
+from sfmkit.geometry.lie import hat, so3_exp
+from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
+from sfmkit.geometry.pose import relative_pose
+from sfmkit.geometry.reprojection import reprojection_residuals
+from sfmkit.geometry.triangulation import (
+    corrected_matches,
+    triangulate,
+    triangulate_dlt,
+    triangulate_midpoint,
+    triangulate_optimal,
+)
+
+S = make_scene(6, noise=0.5)
+N1, N2 = normalize(S.x1, S.K1), normalize(S.x2, S.K2)
+E = essential_from_pose(S.R, S.t)
+X = triangulate(N1, N2, S.R, S.t)
+K5 = torch.tensor([800.0, 810.0, 320.0, 240.0, 1.0], dtype=torch.float64)
+SQUARES = torch.tensor([0.0, 0.1, 0.7, 0.95, 1.5], dtype=torch.float64)
+AXIS = torch.tensor([0.1, -0.4, 0.3], dtype=torch.float64)
+
+
+def camera(k):
+    """K of (fx, fy, cx, cy, skew): the entries below the diagonal are no unknowns."""
+    zero, one = torch.zeros_like(k[..., 0]), torch.ones_like(k[..., 0])
+    fx, fy, cx, cy, skew = k.unbind(-1)
+    return torch.stack((fx, skew, cx, zero, fy, cy, zero, zero, one), -1).unflatten(-1, (3, 3))
+
+
+def residuals(X, x1, x2, k, R, t):
+    return reprojection_residuals(X, x1, x2, camera(k), camera(k), R, t)
+
+
+def corrected(xn1, xn2, R, t):
+    return tuple(c for x in corrected_matches(xn1, xn2, R, t) for c in x)
+
+
+FUNCTIONS = {
+    "to_homogeneous": (to_homogeneous, (S.x1,)),
+    "from_homogeneous": (from_homogeneous, (X,)),
+    "normalize": (lambda x, k: normalize(x, camera(k)), (S.x1, K5)),
+    "denormalize": (lambda x, k: denormalize(x, camera(k)), (N1, K5)),
+    "hartley_normalization": (hartley_normalization, (S.x1,)),
+    "inverse_intrinsics": (lambda k: inverse_intrinsics(camera(k)), (K5,)),
+    "hat": (hat, (AXIS,)),
+    "relative_pose": (relative_pose, (S.R, S.t, so3_exp(AXIS), AXIS)),
+    "squared_sampson_distance": (squared_sampson_distance, (E, N1, N2)),
+    "reprojection_residuals": (residuals, (X, S.x1, S.x2, K5, S.R, S.t)),
+    "corrected_matches": (corrected, (N1, N2, S.R, S.t)),
+    "triangulate_optimal": (triangulate_optimal, (N1, N2, S.R, S.t)),
+    "triangulate_midpoint": (triangulate_midpoint, (N1, N2, S.R, S.t)),
+    "triangulate_dlt": (triangulate_dlt, (N1, N2, S.R, S.t)),
+    "marginal_weight": (lambda s: marginal_weight(s, 1.0), (SQUARES[1:],)),
+    "marginal_score": (lambda s: marginal_score(s, 1.0), (SQUARES[1:],)),
+    **{
+        f"loss_terms {loss}": (lambda s, loss=loss: loss_terms(loss, s, 0.8).value, (SQUARES[1:],))
+        for loss in ("squared", "huber", "cauchy", "marginal")
+    },
+}
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_derivatives_are_those_of_finite_differences(name):
+    function, values = FUNCTIONS[name]
+    assert torch.autograd.gradcheck(function, tuple(v.clone().requires_grad_() for v in values), atol=1e-5)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("loss", ["squared", "huber", "cauchy", "marginal"])
+def test_slope_and_curvature_are_the_derivatives_of_the_loss(loss):
+    s = SQUARES[1:].clone().requires_grad_()
+    value, slope, curvature = loss_terms(loss, s, 0.8)
+    (first,) = torch.autograd.grad(value.sum(), s, create_graph=True)
+    torch.testing.assert_close(slope, first)
+    h = 1e-6
+    numeric = (loss_terms(loss, s.detach() + h, 0.8).slope - loss_terms(loss, s.detach() - h, 0.8).slope) / (2 * h)
+    torch.testing.assert_close(curvature, numeric, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", [n for n in FUNCTIONS if not n.startswith(("loss", "marginal"))])
+def test_a_batch_is_its_members_and_single_precision_is_near(name):
+    function, values = FUNCTIONS[name]
+    single = function(*values)
+    batch = function(*(torch.stack((v, v)) for v in values))
+    for one, many in zip(*((r if isinstance(r, tuple) else (r,)) for r in (single, batch))):
+        torch.testing.assert_close(many, torch.stack((one, one)), rtol=1e-12, atol=1e-12)
+    low = function(*(v.float() for v in values))
+    for one, rough in zip(*((r if isinstance(r, tuple) else (r,)) for r in (single, low))):
+        assert rough.dtype == torch.float32
+        torch.testing.assert_close(rough.double(), one, rtol=1e-3, atol=1e-3 * float(one.abs().max()))
+
+
+@pytest.mark.grad
+def test_a_refined_homography_is_differentiated_through_its_maximum():
+    s = make_scene(14, noise=0.4, planar=True)
+    start = homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2)
+    w = torch.linspace(0.5, 1.5, 14, dtype=torch.float64)
+
+    def where(x1, x2, w):  # where the image's corners go, pixels: the entries of H differ by orders of magnitude
+        H = refine_homography(start, x1, x2, w, threshold_px=5.0, max_iterations=60)
+        corners = torch.tensor([[0.0, 0], [640, 0], [640, 480], [0, 480]], dtype=torch.float64)
+        return transfer(H, corners)
+
+    values = tuple(v.clone().requires_grad_() for v in (s.x1, s.x2, w))
+    # The search stops within 1e-7 of the best score, so the differences themselves are good to a percent.
+    assert torch.autograd.gradcheck(where, values, eps=1e-4, atol=6e-3, rtol=1e-2)
+    plain = refine_homography(start, s.x1, s.x2, w, threshold_px=5.0, max_iterations=60)
+    traced = refine_homography(start, *values, threshold_px=5.0, max_iterations=60)
+    torch.testing.assert_close(traced.detach(), plain, rtol=1e-5, atol=1e-7)
