@@ -126,4 +126,4 @@ def test_a_refined_homography_is_differentiated_through_its_maximum():
     assert torch.autograd.gradcheck(where, values, eps=1e-4, atol=6e-3, rtol=1e-2)
     plain = refine_homography(start, s.x1, s.x2, w, threshold_px=5.0, max_iterations=60)
     traced = refine_homography(start, *values, threshold_px=5.0, max_iterations=60)
-    torch.testing.assert_close(traced.detach(), plain, rtol=1e-5, atol=1e-7)
+    assert float((transfer(traced.detach(), s.x1) - transfer(plain, s.x1)).norm(dim=-1).max()) < 0.01  # pixels
