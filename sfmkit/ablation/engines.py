@@ -115,6 +115,7 @@ class LocalEngine:
             [sys.executable, "-c", "from sfmkit.ablation.worker import main; main()"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C is for whoever gives the work
         )  # fmt: skip
         self._processes[k] = process
         return process

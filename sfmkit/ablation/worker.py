@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import pickle
 import platform
-import signal
 import struct
 import sys
 import threading
@@ -190,7 +189,6 @@ def _end_with_parent(parent: int) -> None:
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the work
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not end up among the answers
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()

@@ -57,27 +57,27 @@ def wait_until(condition, seconds: float = 60.0) -> None:
         time.sleep(0.01)
 
 
-def kill_and_resume(folder: Path, moments: int, seed: int) -> tuple[AblationTable, int]:
+def kill_and_resume(folder: Path, moments: int, seed: int, workers: int = 2) -> tuple[AblationTable, int]:
     """Run the sweep, killing its parent or one of its workers at random moments, until it ends; how many were killed."""
     rng, killed = random.Random(seed), 0
     cache = folder / "cache"
     while True:
-        process = start(folder)
+        process = start(folder, workers)
         # The moment is a number of further results, so that every attempt gets somewhere however slow the machine is.
         while killed < moments and process.poll() is None:
             results = sum(1 for _ in cache.rglob("*.npz"))
             more = rng.randrange(1, 4)
             wait_until(lambda: process.poll() is not None or sum(1 for _ in cache.rglob("*.npz")) >= results + more)  # noqa: B023
             time.sleep(rng.uniform(0, 0.1))
-            workers = all_children(process.pid) if process.poll() is None else []
+            living = all_children(process.pid) if process.poll() is None else []
             if process.poll() is not None:
                 break
             killed += 1
-            if workers and rng.random() < 0.5:
-                os.kill(rng.choice(workers), signal.SIGKILL)
+            if living and rng.random() < 0.5:
+                os.kill(rng.choice(living), signal.SIGKILL)
             else:
                 process.kill()
-                wait_until(lambda: not any(Path(f"/proc/{pid}").exists() and is_running(pid) for pid in workers))  # noqa: B023
+                wait_until(lambda: not any(Path(f"/proc/{pid}").exists() and is_running(pid) for pid in living))  # noqa: B023
         _, errors = process.communicate(timeout=250)
         if process.returncode == 0:
             return read_table(folder / "out"), killed
@@ -94,7 +94,7 @@ def is_running(pid: int) -> bool:
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are watched through /proc")
 class TestKilling:
     def test_three_random_moments(self, truth, tmp_path):
-        table, killed = kill_and_resume(tmp_path, 3, seed=5)
+        table, killed = kill_and_resume(tmp_path, 3, seed=5, workers=1)
         assert killed == 3
         assert table.results() == truth.results()
 
@@ -160,6 +160,7 @@ def test_what_cannot_be_told_to_a_worker_fails_and_does_not_hang(tmp_path):
     assert "pickle" in outcome.reason.lower()
 
 
+@pytest.mark.slow
 def test_one_and_two_workers_give_the_rows_of_one_process(truth, tmp_path):
     for workers in (1, 2):
         folder = tmp_path / str(workers)
