@@ -157,9 +157,14 @@ class Notebook:
 
     def click_image1(self, x: tuple[float, float]) -> None:
         before = self.page.locator("circle.pixel").get_attribute("cx")
-        self.page.locator("svg.sfmkit-photograph").first.scroll_into_view_if_needed()
-        self.page.mouse.click(*self.on_screen(0, np.array(x)))
-        assert wait_for(lambda: self.page.locator("circle.pixel").get_attribute("cx") != before, 20, 0.05)
+
+        def answered() -> bool:
+            """The page may still have been moving under the mouse: then the click is repeated."""
+            self.page.locator("svg.sfmkit-photograph").first.scroll_into_view_if_needed()
+            self.page.mouse.click(*self.on_screen(0, np.array(x)))
+            return wait_for(lambda: self.page.locator("circle.pixel").get_attribute("cx") != before, 15, 0.05)
+
+        assert wait_for(answered, 60)
 
 
 def wait_for(condition: Callable[[], bool], seconds: float, pause: float = 0.2) -> bool:
