@@ -31,7 +31,8 @@ _NOTES = (
     "intervals overlap, the difference may still be real, for both setups ran on the same pairs: look it up among the differences.",
     "A p-value is the chance of a difference at least as large as this one if there were none. Among hundreds of differences some "
     "are large by chance, so p-values are corrected by Holm's method for all that are tested together. 'Not shown' does not mean "
-    "equal: it means that these pairs cannot tell. The best was chosen on the same pairs, which flatters it a little.",
+    "equal: it means that these pairs cannot tell. The interval is of the mean, which a few hard pairs can move; the test asks whether "
+    "the pairs agree. Where only the interval leaves zero out, a few pairs decide: look at them. The best was chosen on the same pairs, which flatters it a little.",
 )
 
 
