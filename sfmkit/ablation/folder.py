@@ -1,9 +1,11 @@
-"""The folder of a sweep: what it is, its shards, its table, and the lock that keeps it to one process.
+"""The folder of a sweep and the lock that keeps it to one process.
 
-sweep.json         what the sweep is: operators, combinations, pairs with their truth, versions
-images/            images that came as arrays
-shards/KEY.parquet rows of one unit of work; named by what they are, so none can be there twice
-ablation.parquet   all rows, in the order of the plan
+It holds::
+
+    sweep.json          what the sweep is: operators, combinations, pairs with their truth, versions
+    images/             images that came as arrays
+    shards/KEY.parquet  rows of one unit of work; named by what they are, so none can be there twice
+    ablation.parquet    all rows, in the order of the plan
 """
 
 from __future__ import annotations

@@ -127,7 +127,8 @@ def test_an_unknown_scheduler_is_said_within_seconds(tmp_path):
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "nonsense://x:1", "tcp://no.such.host.invalid:8786"])
-def test_addresses_that_are_none(tmp_path, address):
+def test_addresses_that_are_none(tmp_path, address, monkeypatch):
+    monkeypatch.setattr("sfmkit.ablation.cluster.CONNECT_S", 1.0)
     with pytest.raises(InputError, match="no Dask scheduler answers at"):
         ablate(pairs(tmp_path / "images", 1, 0), ["orb"], cache=tmp_path / "cache", scheduler=address)
 
