@@ -167,9 +167,12 @@ def command_line() -> str:
         if name in ("data", "out") or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
             continue
         value = context.params[name]
-        if isinstance(value, Path):
-            value = value.name
-        words += [option.opts[0], ",".join(map(str, value)) if isinstance(value, tuple) else str(value)]
+        if isinstance(value, bool):
+            words.append(option.opts[0] if value else option.secondary_opts[0])
+        elif getattr(option, "multiple", False):
+            words += [word for path in value for word in (option.opts[0], Path(path).name)]
+        else:
+            words += [option.opts[0], ",".join(value) if isinstance(value, tuple) else str(value)]
     return shlex.join(words)
 
 

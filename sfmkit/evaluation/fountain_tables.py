@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .fountain import CLOSE, RIGHT_PX, cloud_picture
+from .fountain import RIGHT_PX, cloud_picture
 from .oxford import MULTI
 from .paper import FOUNTAIN
 from .result import Cell, Column, Result, ResultFigure, ResultTable
@@ -52,7 +52,7 @@ def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
             "point. The paper's text calls initial the detected features in one place, and says the loss is from "
             "matching to the final cloud in another; its numbers fit the second only.",
             "The paper adds the operators' matches up, so a corner that two operators found counts twice. Our presets "
-            "default and dense merge such matches; the line `multi, unmerged` counts as the paper does.",
+            "default and dense merge such matches; the line “multi, unmerged” counts as the paper does.",
             "The dense preset is the default with half the least contrast of every operator, twice as many keypoints, and "
             "only matches whose best distance is below 0.9 of the second best. The ratio test throws matches away before "
             "they count as initial; the column of matches tells what passed it.",
@@ -103,7 +103,7 @@ def _table_6(rows: Sequence[Row], preset: str) -> ResultTable:
         Column("loss, %", ".2f"), Column("paper: loss, %", ".2f", paper=True),
     )  # fmt: skip
     note = (
-        "Single operators are estimated alone, as the paper's seem to be (its three points columns add up to 26,725, not to "
+        "Single operators are estimated alone, as the paper's seem to be (their points add up to 26,725, not to "
         "27,673). Points within the fusion: those of all together that the operator found, alone or with others."
     )
     return ResultTable(f"table-6-{preset}", f"Table 6: features through the process, {PRESET_TITLES[preset]}", columns, tuple(lines), note)  # fmt: skip
@@ -167,7 +167,7 @@ def _scenes_table(rows: Sequence[Row]) -> ResultTable:
             ))  # fmt: skip
     columns = (
         Column("scene"), Column("preset"), Column("initial", ","), Column("points", ",.0f"),
-        Column("distance, % of depth", ".2f"), Column("9 of 10 below", ".2f"), Column(f"below {CLOSE:.0%}, %", ".1f"),
+        Column("distance, % of depth", ".2f"), Column("9 of 10 below", ".2f"), Column("within 1 %, %", ".1f"),
         Column("rotation, deg", ".3f"), Column("translation, deg", ".3f"),
     )  # fmt: skip
     note = (

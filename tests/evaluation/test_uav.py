@@ -104,6 +104,7 @@ def test_the_command_and_its_tables(made_up, tmp_path):
     done = CliRunner().invoke(bench, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     result = read_result(tmp_path)
+    assert result.command.endswith(f"uav --box {BOX} --operators orb --presets default --no-colmap")
     assert [t.name for t in result.tables] == ["table-7", "table-8", "pairs"]
     for table, case in zip(result.tables, (SMALL, WIDE)):
         ours, theirs, micmac = table.rows
