@@ -31,7 +31,7 @@ def surface(view: int) -> np.ndarray:
     scene = named_scene("courtyard")
     points = geometry(scene, (scene.pose1, scene.pose2)[view - 1], scene.K(SIZE), SIZE)[1].reshape(-1, 3)
     points = points[np.isfinite(points[:, 2]) & (points[:, 2] < 40)]
-    return np.random.default_rng(view).permutation(points)[:3000]
+    return np.random.default_rng(view).permutation(points)[:1600]
 
 
 def moved(xyz: np.ndarray) -> np.ndarray:
@@ -57,8 +57,8 @@ def test_exact():
 
 def test_noise_other_density_and_outliers():
     rng = np.random.default_rng(0)
-    a, b = surface(1)[:2500], surface(1)[1000:] + 0.02 * rng.normal(size=(2000, 3))
-    b = np.concatenate([b, rng.uniform(-30, 40, (300, 3))])
+    a, b = surface(1)[:1300], surface(1)[300:] + 0.02 * rng.normal(size=(1300, 3))
+    b = np.concatenate([b, rng.uniform(-30, 40, (200, 3))])
     found = align(a, moved(b))
     scale, degrees = errors(found)
     assert scale < 0.005
@@ -81,8 +81,8 @@ def test_two_views_overlap_in_part():
 
 def test_pairs_help_where_the_overlap_is_small():
     a, order = surface(1), np.argsort(surface(1)[:, 0])
-    left, right = a[order[:2000]], a[order[1000:]]  # 1,000 in common
-    pairs = np.column_stack([np.arange(1000, 2000, 150), np.arange(0, 1000, 150)])
+    left, right = a[order[:1050]], a[order[550:]]  # 500 in common
+    pairs = np.column_stack([np.arange(550, 1050, 70), np.arange(0, 500, 70)])
     scale, degrees = errors(align(left, moved(right), pairs))
     assert scale < 1e-6
     assert degrees < 1e-4
@@ -140,24 +140,24 @@ def run(*arguments: object):
 
 def test_command(tmp_path):
     """The second cloud is a part of the first: every distance is known."""
-    a = surface(1)[:1500]
-    first, second = write(tmp_path / "a.ply", a), write(tmp_path / "b.ply", moved(a[:1000]))
+    a = surface(1)[:900]
+    first, second = write(tmp_path / "a.ply", a), write(tmp_path / "b.ply", moved(a[:600]))
     out = tmp_path / "c"
     result = run(first, second, "--radius", 0.5, "--out", out)
     assert result.exit_code == 0, result.output
     assert sorted(p.name for p in out.iterdir()) == ["compare.json", "compare.png", "second.ply"]
     numbers = json.loads((out / "compare.json").read_text())
     assert numbers["alignment"]["scale"] == pytest.approx(SCALE, rel=1e-6)
-    assert (numbers["first"]["points"], numbers["second"]["points"]) == (1500, 1000)
+    assert (numbers["first"]["points"], numbers["second"]["points"]) == (900, 600)
     assert numbers["second"]["distance"]["p95"] < 1e-6
-    gap = np.linalg.norm(a[1000:, None] - a[None, :1000], axis=2).min(1)
-    assert numbers["first"]["distance"]["rms"] == pytest.approx(np.sqrt((gap**2).sum() / 1500), rel=1e-4)
-    within = (np.linalg.norm(a[:1000, None] - a[None, :1000], axis=2) <= 0.5).sum(1)
+    gap = np.linalg.norm(a[600:, None] - a[None, :600], axis=2).min(1)
+    assert numbers["first"]["distance"]["rms"] == pytest.approx(np.sqrt((gap**2).sum() / 900), rel=1e-4)
+    within = (np.linalg.norm(a[:600, None] - a[None, :600], axis=2) <= 0.5).sum(1)
     assert numbers["second"]["neighbours"]["mean"] == pytest.approx(within.mean(), rel=1e-3)
     assert numbers["first"]["distance_over_extent"]["rms"] * numbers["extent"] == pytest.approx(
         numbers["first"]["distance"]["rms"]
     )
-    assert np.allclose(read_ply(out / "second.ply").xyz.numpy(), a[:1000], atol=1e-4)
+    assert np.allclose(read_ply(out / "second.ply").xyz.numpy(), a[:600], atol=1e-4)
     assert "exists" in run(first, second, "--out", out).output
 
 
