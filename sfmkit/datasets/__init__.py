@@ -33,10 +33,6 @@ def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -
         from .planes import planes
 
         return planes(**options)
-    if dataset == "planes":
-        from .planes import planes
-
-        return planes(**options)
     if dataset not in ("oxford", "hpatches", "strecha", "uav"):
         raise InputError(
             f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav, synthetic and planes"
