@@ -43,7 +43,7 @@ class DaskEngine:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
+        except Exception as error:  # whatever the transport of that address raises
             raise InputError(
                 f"no Dask scheduler answers at {address} ({type(error).__name__} after {CONNECT_S:.0f} s); start one with "
                 "`dask scheduler`, workers with `dask worker ADDRESS --nthreads 1`"
