@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -76,4 +77,5 @@ def lab(folder: Path | None, port: int, browser: bool) -> None:
             "running as root: so will the notebooks. The page asks for a token and listens on 127.0.0.1 only.", err=True
         )
     command, environment = lab_command(place, port, browser)
+    signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is JupyterLab's, which asks about it and ends tidily
     sys.exit(subprocess.run(command, env=environment, check=False).returncode)
