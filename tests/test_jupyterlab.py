@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -18,7 +17,7 @@ import nbformat
 import numpy as np
 import PIL.Image
 import pytest
-from chromium import open_browser
+from chromium import open_browser, wait_for
 
 from sfmkit import detect
 from sfmkit.datasets.lesson import lesson_pair
@@ -166,15 +165,6 @@ class Notebook:
             return wait_for(lambda: self.page.locator("circle.pixel").get_attribute("cx") != before, 15, 0.05)
 
         assert wait_for(answered, 60)
-
-
-def wait_for(condition: Callable[[], bool], seconds: float, pause: float = 0.2) -> bool:
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(pause)
-    return False
 
 
 def true_pixels(pair, x1: np.ndarray) -> np.ndarray:

@@ -18,10 +18,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
 from ..errors import OutputError
+from ..machine import processor
 from .cache import Cache
 from .entry import Entry
 from .stages import Store, estimate_combination
@@ -148,11 +148,7 @@ def one_thread() -> None:
 @cache
 def machine() -> str:
     """Processor, cores, system and Python, in a line."""
-    cpu = platform.processor() or platform.machine()
-    with suppress(OSError, StopIteration):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        cpu = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return f"{cpu}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+    return f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
 
 
 _LENGTH = struct.Struct("!Q")

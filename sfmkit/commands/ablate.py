@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..exit_status import INTERRUPTED
 from ..parsing import names, size_in_bytes
+from ..progress import goes_on
 from .ablate_report import report
 
 
@@ -87,7 +86,7 @@ ablate.add_command(report)
 
 
 def run(
-    data: tuple[str, ...],
+    data: tuple[str, ...] | None,
     operators: tuple[str, ...],
     combos: str,
     seeds: int,
@@ -117,15 +116,11 @@ def run(
     if dry_run:
         print_plan(data, operators, combos, seeds, preset, settings, cache, root, workers)
         return
-    try:
-        with bar(enabled=not quiet, console=Console(stderr=True)) as watch:
-            table = start(
-                data, operators, combos=combos, seeds=seeds, preset=preset, vary=settings, out=out, root=root,
-                workers=workers, scheduler=scheduler, ship=ship, cache=cache, cache_limit=cache_size, progress=watch,
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        click.echo("interrupted; the same command goes on where it stopped", err=True)
-        sys.exit(INTERRUPTED)
+    with goes_on(), bar(enabled=not quiet, console=Console(stderr=True)) as watch:
+        table = start(
+            data, operators, combos=combos, seeds=seeds, preset=preset, vary=settings, out=out, root=root,
+            workers=workers, scheduler=scheduler, ship=ship, cache=cache, cache_limit=cache_size, progress=watch,
+        )  # fmt: skip
     if not quiet:
         from ..ablation.watching import print_overview
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,14 +11,11 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from ..exit_status import INTERRUPTED
+from ..parsing import names
+from ..progress import goes_on
 
 if TYPE_CHECKING:
     from ..evaluation.result import Result
-
-
-def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    return None if value is None else tuple(part.strip() for part in value.split(",") if part.strip())
 
 
 @click.group()
@@ -31,7 +27,7 @@ OPERATORS = click.option(
     "--operators",
     default="surf,orb,fast-brief",
     show_default=True,
-    callback=_names,
+    callback=names,
     help="Each runs alone, and all together.",
 )
 DATA = click.option(
@@ -43,7 +39,7 @@ DATA = click.option(
 
 def PRESETS(default: str) -> Callable:
     """The option --presets with its default."""
-    return click.option("--presets", default=default, show_default=True, callback=_names, help="Recipes to compare.")
+    return click.option("--presets", default=default, show_default=True, callback=names, help="Recipes to compare.")
 
 
 MAX_SIZE = click.option(
@@ -59,7 +55,7 @@ def OUT(name: str) -> Callable:
 
 
 @bench.command()
-@click.option("--sequences", callback=_names, metavar="A,B", help="Some of the eight sequences; default: all.")
+@click.option("--sequences", callback=names, metavar="A,B", help="Some of the eight sequences; default: all.")
 @OPERATORS
 @click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
 @click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core.")
@@ -85,13 +81,13 @@ def oxford(
 
 
 @bench.command()
-@click.option("--pairs", callback=_names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours.")
+@click.option("--pairs", callback=names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours.")
 @OPERATORS
 @PRESETS("paper,default,dense")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
 @MAX_SIZE
 @click.option(
-    "--scenes", default="courtyard,wide,dish", show_default=True, callback=_names, help="Rendered scenes; '' for none."
+    "--scenes", default="courtyard,wide,dish", show_default=True, callback=names, help="Rendered scenes; '' for none."
 )
 @OUT("fountain")
 @DATA
@@ -189,13 +185,9 @@ def parts_bar(bench: str) -> Iterator[Callable[[int, int, str], None]]:
         TimeElapsedColumn(),
         TextColumn("{task.description}"),
     )
-    try:
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("", total=None)
-            yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
-    except KeyboardInterrupt:
-        click.echo("interrupted; the same command goes on where it stopped", err=True)
-        sys.exit(INTERRUPTED)
+    with goes_on(), Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
 
 
 def hand_over(folder: Path, result: Result) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import InputError
+from ..parsing import refuse_existing
 from ..progress import progress
 from .clouds import read_cloud
 
@@ -51,11 +52,9 @@ def compare(
     """
     import sys
 
-    from ..errors import OutputError
     from ..exit_status import OK, UNTRUSTWORTHY
 
-    if out.exists() and not overwrite:
-        raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
+    refuse_existing(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("read", f"{first}, {second}")
         from .. import compare as comparing

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..parsing import refuse_existing
 from ..progress import progress
 from .clouds import read_cloud
 
@@ -29,10 +30,8 @@ def density(cloud: Path, radius: float | None, out: Path, overwrite: bool, quiet
     A point counts as its own neighbour, and a distance of exactly R is within. Writes density.json, density.ply (coloured,
     with the counts), density.png and histogram.png to the folder --out.
     """
-    from ..errors import OutputError
 
-    if out.exists() and not overwrite:
-        raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
+    refuse_existing(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("read", str(cloud))
         from ..density import check_radius

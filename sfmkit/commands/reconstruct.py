@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from ..exit_status import OK, UNTRUSTWORTHY
+from ..parsing import names, refuse_existing
 from ..progress import progress
 
 OPERATORS = "surf,orb,fast-brief"
@@ -17,10 +18,6 @@ OPERATORS = "surf,orb,fast-brief"
 def given(**values: Any) -> dict[str, Any]:
     """Those that are not None."""
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, ...]:
-    return tuple(part.strip() for part in value.split(",") if part.strip())
 
 
 @click.command()
@@ -32,7 +29,7 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[st
     "--operators",
     default=OPERATORS,
     show_default=True,
-    callback=_names,
+    callback=names,
     help="Detectors, comma-separated; see `sfmkit operators`.",
 )
 @click.option(
@@ -98,10 +95,7 @@ def reconstruct(
     """
     from dataclasses import replace
 
-    from ..errors import OutputError
-
-    if out.exists() and not overwrite:
-        raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
+    refuse_existing(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("start", "loading libraries")
         from ..cameras import read_truth

@@ -73,7 +73,7 @@ class Problem(ABC):
 
     @abstractmethod
     def squares(self, models: Tensor, rows: Rows) -> Tensor:
-        """(M, upto) squared distances of some matches, over the squared threshold, float32."""
+        """(M, rows) squared distances of some matches, over the squared threshold, float32."""
 
     @abstractmethod
     def exact(self, model: Tensor) -> Tensor:

@@ -9,7 +9,6 @@ features" in one place and "from matching to the final point cloud" in another, 
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Iterable, Sequence
@@ -22,7 +21,7 @@ import torch
 from torch import Tensor
 
 from .. import __version__
-from ..account import make_account
+from ..account import ALL, make_account
 from ..datasets.pairs import Pair
 from ..datasets.strecha import strecha
 from ..datasets.synthetic import SyntheticPair, render
@@ -35,8 +34,7 @@ from ..images import Image, read_image
 from ..options import PRESETS, Options
 from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs, Stopwatch, detect_all, make_cloud, match_all, pose_errors
 from ..types import Camera, Correspondences, Matches, PointCloud, TwoView
-from .oxford import MULTI
-from .rows import Progress, Row, RowStore
+from .rows import Progress, Row, RowStore, finite
 
 SEQUENCE = "fountain-P11"
 RIGHT_PX = 1.0  # Sampson distance from the true epipolar geometry below which a match counts as right
@@ -182,7 +180,7 @@ def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: in
             view, cloud = estimate_cloud(corr, (pair.camera1, pair.camera2), images[0], options, seed)
             seconds = before + time.perf_counter() - began
             account = make_account(corr, view.inliers, cloud)
-            line = account[MULTI]
+            line = account[ALL]
             in_cloud = 0 if cloud is None else int(right[cloud.match].sum())
             rows.append(
                 {
@@ -193,7 +191,7 @@ def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: in
                     "kept": in_cloud / int(right.sum()) if bool(right.any()) else None,
                     "members": {o: [account[o].initial, account[o].points] for o in members},
                     **_finite(pose_errors(view, pair.R, pair.t)),  # type: ignore[arg-type]
-                    "seconds": seconds if name == MULTI or len(operators) == 1 else None,
+                    "seconds": seconds if name == ALL or len(operators) == 1 else None,
                 }
             )  # fmt: skip
             if seed == 0 and cloud is not None and (radius is not None or options.fuse.merge_radius is None):
@@ -210,9 +208,9 @@ def _sets(operators: Sequence[str], options: Options) -> list[tuple[str, tuple[s
     radius = options.fuse.merge_radius
     sets: list[tuple[str, tuple[str, ...], float | None]] = [(name, (name,), radius) for name in operators]
     if len(operators) > 1:
-        sets.append((MULTI, tuple(operators), radius))
+        sets.append((ALL, tuple(operators), radius))
         if radius is not None:
-            sets.append((MULTI, tuple(operators), None))
+            sets.append((ALL, tuple(operators), None))
     return sets
 
 
@@ -238,7 +236,7 @@ def _scene_rows(scene: str, operators: Sequence[str], options: Options, seeds: i
             error = surface_error(cloud.xyz.numpy() * np.linalg.norm(made.t), x1, made.depth_at(1, x1), made.camera1)
             median, p90 = np.quantile(error, (0.5, 0.9))
             row |= {
-                "points": len(cloud), "median_error": float(median), "p90_error": _number(float(p90)),
+                "points": len(cloud), "median_error": float(median), "p90_error": finite(float(p90)),
                 "close": float((error < CLOSE).mean()),
             }  # fmt: skip
         rows.append(row | _finite(pose_errors(view, made.R, made.t)))
@@ -259,9 +257,5 @@ def surface_error(X: np.ndarray, x1: np.ndarray, depth: np.ndarray, camera: Came
     return np.where(sky, np.inf, np.linalg.norm(X - truth, axis=1) / np.where(sky, 1.0, depth))
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _finite(errors: dict[str, float]) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in errors.items()}
+    return {name: finite(value) for name, value in errors.items()}

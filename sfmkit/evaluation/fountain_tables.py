@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..account import ALL
 from .fountain import RIGHT_PX, cloud_picture
-from .oxford import MULTI
 from .paper import FOUNTAIN
 from .result import Cell, Column, Result, ResultFigure, ResultTable
 from .rows import Row
@@ -74,16 +74,16 @@ def _lines(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
     lines: dict[tuple[str, bool], list[Row]] = {}
     for r in rows:
         lines.setdefault((r["operator"], r["merged"]), []).append(r)
-    merges = {merged for name, merged in lines if name == MULTI}
+    merges = {merged for name, merged in lines if name == ALL}
     return [
-        (f"{name}, unmerged" if name == MULTI and not merged and len(merges) > 1 else name, group)
+        (f"{name}, unmerged" if name == ALL and not merged and len(merges) > 1 else name, group)
         for (name, merged), group in lines.items()
     ]
 
 
 def _table_6(rows: Sequence[Row], preset: str) -> ResultTable:
     lines: list[tuple[Cell, ...]] = []
-    together = next((group for name, group in _lines(rows) if name == MULTI), None)
+    together = next((group for name, group in _lines(rows) if name == ALL), None)
     for name, group in _lines(rows):
         r = group[0]
         points, loss = _median(group, "points"), _median(group, "loss")
@@ -138,12 +138,12 @@ def _truth_table(rows: Sequence[Row]) -> ResultTable:
 
 def _pairs_table(rows: Sequence[Row]) -> ResultTable:
     lines: list[tuple[Cell, ...]] = []
-    fusion = [r for r in rows if r["operator"] == MULTI] or list(rows)
+    fusion = [r for r in rows if r["operator"] == ALL] or list(rows)
     for pair in dict.fromkeys(r["pair"] for r in fusion):
         for preset in dict.fromkeys(r["preset"] for r in fusion):
             for name, group in _lines([r for r in fusion if r["pair"] == pair and r["preset"] == preset]):
                 lines.append((
-                    pair, preset, "" if name == MULTI else name.removeprefix(f"{MULTI}, "), group[0]["initial"],
+                    pair, preset, "" if name == ALL else name.removeprefix(f"{ALL}, "), group[0]["initial"],
                     _median(group, "points"), _percent(_median(group, "loss")), _percent(_median(group, "precision")),
                     _median(group, "rotation_deg"), _median(group, "translation_deg"),
                 ))  # fmt: skip

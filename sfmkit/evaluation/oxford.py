@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from .. import __version__
+from ..account import ALL
 from ..datasets.oxford import oxford
 from ..datasets.pairs import Pair
 from ..errors import InputError
@@ -34,9 +35,8 @@ from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs
 from ..registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches
 from .metrics import corner_error, homography_rmse, match_errors, matching_score, mean_matching_accuracy, repeatability
-from .rows import Progress, Row, RowStore
+from .rows import Progress, Row, RowStore, finite
 
-MULTI = "multi"
 FLOOR = "floor"
 OURS, PAPERS = "ours", "paper"
 FLOOR_PX = 3.0
@@ -154,7 +154,7 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
     rows.append({"kind": FLOOR, **where, **_floor(corr.x1, corr.x2, pair.H, next(iter(features.values()))[0].size_wh)})
 
     single = [(name, {name: features[name]}, {name: matches[name]}) for name in operators]
-    both = [*single, (MULTI, features, matches)] if len(operators) > 1 else single
+    both = [*single, (ALL, features, matches)] if len(operators) > 1 else single
     for name, mine, theirs in both:
         for recipe, options, planar in ((OURS, DEFAULT, PlanarOptions()), (PAPERS, PAPER, PAPER_PLANAR)):
             fused = fuse_all(mine, theirs, options.fuse)
@@ -188,13 +188,9 @@ def _estimate(
         "guided": 0 if result.guided is None else len(result.guided),
         "rmse": None if H is None else homography_rmse(H, H_true),
         "corner_error_px": None if corner is None or math.isinf(corner) else corner,
-        "log10_false_alarms": _finite(result.evidence.get("log10_false_alarms")),
+        "log10_false_alarms": finite(result.evidence.get("log10_false_alarms")),
         "seconds": seconds,
     }
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 def _floor(x1: torch.Tensor, x2: torch.Tensor, H_true: np.ndarray, size_wh: tuple[int, int]) -> Row:

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ..account import ALL
 from ..viz.colours import operator_colour
 from ..writing import atomic_write
 from .metrics import error_auc
-from .oxford import FLOOR, MULTI, OURS, PAPERS
+from .oxford import FLOOR, OURS, PAPERS
 from .paper import OXFORD, OXFORD_FIGURES, OXFORD_TABLES
 from .result import Cell, Column, Result, ResultFigure, ResultTable
 from .rows import Row
@@ -57,7 +58,7 @@ def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
     """Tables, and figures drawn into `folder`, of a benchmark's rows."""
     mine = estimates(rows)
     pairs = {(r["sequence"], r["pair"]) for r in mine}
-    operators = ", ".join(operators_of(rows)).replace(f"{MULTI}, ", "")
+    operators = ", ".join(operators_of(rows)).replace(f"{ALL}, ", "")
     return Result(
         name="oxford",
         title=f"Homographies of the Oxford set: {len(pairs)} pairs, {operators}",
@@ -76,7 +77,7 @@ def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
 
 def operators_of(rows: Sequence[Row]) -> list[str]:
     """The operators that were run, all together first."""
-    return sorted(dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != MULTI)
+    return sorted(dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != ALL)
 
 
 def tables(rows: Sequence[Row]) -> list[ResultTable]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,11 @@ from ..errors import InputError
 
 Row = dict[str, Any]
 Progress = Callable[[int, int, str], None]  # parts done, parts in all, what was done last
+
+
+def finite(value: float | None) -> float | None:
+    """The number, or None for what JSON cannot hold."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 class RowStore:

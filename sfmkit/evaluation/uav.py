@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from .. import __version__
+from ..account import ALL
 from ..cameras import camera_from_exif
 from ..cloud import read_ply, write_ply
 from ..datasets.pairs import Pair
@@ -185,7 +186,7 @@ def _pair_row(
     options = PRESETS[preset]
     options = changed(options, detect=changed(options.detect, max_size=max_size))
     result = reconstruct(pair.image1, pair.image2, operators=operators, options=options)
-    cloud, line = result.cloud, result.account["multi"]
+    cloud, line = result.cloud, result.account[ALL]
     row: Row = {
         "kind": "pair", "case": case, "pair": pair.name, "preset": preset, "verdict": result.two_view.verdict.value,
         "camera": camera.source, "size_wh": list(camera.size_wh), "initial": line.initial, "points": line.points,

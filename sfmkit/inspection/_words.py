@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..account import ALL
+from ..account import ALL, HEAD, account_cells
 
 Number = int | float | None
 
@@ -69,14 +69,7 @@ def range_words(values: np.ndarray | list) -> str:
 
 
 def account_table(lines: dict[str, Any]) -> str:
-    rows = [
-        ("all" if name == ALL else name,
-         *(f"{v:,}" for v in (*a["keypoints"], a["matches"], a["initial"], a["inliers"], a["points"], a["points_alone"])),
-         f"{a['share_points']:.1%}", f"{a['loss']:.1%}")
-        for name, a in lines.items()
-    ]  # fmt: skip
-    head = ("operator", "keypoints 1", "keypoints 2", "matches", "fused", "inliers", "points", "alone", "share", "loss")
-    return table(head, rows)
+    return table(HEAD, [account_cells("all" if name == ALL else name, a) for name, a in lines.items()])
 
 
 def facts(rows: Sequence[tuple[str, str]]) -> str:

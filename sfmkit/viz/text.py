@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..account import ALL, OperatorAccount
+from ..account import ALL, HEAD, OperatorAccount, account_cells
 
 if TYPE_CHECKING:
     from ..pipeline import Reconstruction
@@ -22,18 +22,12 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def account_markdown(account: Mapping[str, OperatorAccount]) -> str:
     """The account as a table."""
-    rows = [
-        ("**all**" if name == ALL else name,
-         *(f"{v:,}" for v in (*a.keypoints, a.matches, a.initial, a.inliers, a.points, a.points_alone)),
-         f"{a.share_points:.1%}", f"{a.loss:.1%}")
-        for name, a in account.items()
-    ]  # fmt: skip
-    head = ("operator", "keypoints 1", "keypoints 2", "matches", "fused", "inliers", "points", "alone", "share", "loss")
+    rows = [account_cells("**all**" if name == ALL else name, a.as_dict()) for name, a in account.items()]
     note = (
         "*fused*: correspondences that carry the operator after coincident ones were merged. *alone*: points that no other "
         "operator found. *share*: of the cloud's points. *loss*: fused correspondences that did not become a point."
     )
-    return f"{table(head, rows)}\n\n{note}"
+    return f"{table(HEAD, rows)}\n\n{note}"
 
 
 def timings_markdown(timings_s: Mapping[str, float]) -> str:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sfmkit.account import ALL
 from sfmkit.commands.bench import bench
 from sfmkit.errors import InputError
-from sfmkit.evaluation.oxford import MULTI, OURS, bench_oxford
+from sfmkit.evaluation.oxford import OURS, bench_oxford
 from sfmkit.evaluation.oxford_tables import estimates, sequence_rmse, solved, tables
 from sfmkit.evaluation.result import read_result
 from sfmkit.evaluation.rows import RowStore
@@ -51,7 +52,7 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     mine = estimates(rows)
     assert len(mine) == 5 * 3 * 2 * 2  # pairs, operators and all, recipes, seeds
     assert all(row.keys() >= KEYS for row in mine)
-    ours = estimates(rows, operator=MULTI, recipe=OURS)
+    ours = estimates(rows, operator=ALL, recipe=OURS)
     assert all(solved(r) and r["corner_error_px"] < 0.3 for r in ours if r["pair"] != "1-6")
     assert all(r["rmse"] is None and r["inliers"] == 0 for r in ours if r["pair"] == "1-6"), "another scene"
     *_, every, of = sequence_rmse(ours, only_solved=True)
@@ -117,7 +118,7 @@ def test_fused_solves_what_drowns_plain_ransac(data_dir, tmp_path):
     rows = bench_oxford(tmp_path, data=data_dir, sequences=["bark", "boat", "graf"], seeds=2)
     pairs = {(r["sequence"], r["pair"]) for r in estimates(rows)}
     for sequence, pair in pairs:
-        fused = estimates(rows, sequence=sequence, pair=pair, operator=MULTI, recipe=OURS)
+        fused = estimates(rows, sequence=sequence, pair=pair, operator=ALL, recipe=OURS)
         if (sequence, pair) == ("graf", "1-6"):
             assert all(r["rmse"] is None for r in fused)
             continue

@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import os
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 import pytest
-from chromium import open_browser
+from chromium import open_browser, wait_for
 from made_up_result import OPERATORS, make_result
 from scipy.ndimage import uniform_filter
 
@@ -107,15 +106,6 @@ def coloured(pixels: np.ndarray, *colours: tuple[int, int, int]) -> np.ndarray:
     return np.any([np.abs(pixels - np.array(rgb)).max(-1) < 80 for rgb in colours], axis=0)
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 120) -> bool:
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(1)
-    return False
-
-
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)], ids=lambda s: f"{s[0]}x{s[1]}")
 def test_every_view_of_every_page_shows_something_and_nothing_is_complained_of(server, browser, size):
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
@@ -133,7 +123,7 @@ def test_every_view_of_every_page_shows_something_and_nothing_is_complained_of(s
                 shot = screenshot(page, label)
                 return all(drawn(cut(shot, box)) > 0.01 for box in views.values())
 
-            if not wait_for(all_drawn):
+            if not wait_for(all_drawn, 120, 1):
                 shot = screenshot(page, label)
                 pytest.fail(f"{name}: " + str({view: f"{drawn(cut(shot, box)):.1%}" for view, box in views.items()}))
         page.mouse.click(TABS["Overview"], 50)
@@ -143,7 +133,7 @@ def test_every_view_of_every_page_shows_something_and_nothing_is_complained_of(s
             boxes = [PAGES["Overview"][view] for view in ("inliers", "image 1", "image 2")]
             return all(coloured(cut(shot, box), operator_rgb(name)).sum() > 200 for box in boxes for name in OPERATORS)
 
-        assert wait_for(coloured_by_operator)
+        assert wait_for(coloured_by_operator, 120, 1)
     finally:
         page.close()
     warnings = [s for s in said if " WARN " in s or " ERROR " in s]
@@ -157,7 +147,7 @@ def test_clicking_a_point_names_its_origin_and_marks_it_in_both_photographs(serv
         page.goto(server.url)
         page.wait_for_selector("canvas", timeout=120_000)
         scene = PAGES["Overview"]["scene"]
-        ready = wait_for(lambda: drawn(cut(screenshot(page, "click-before"), scene)) > 0.05)
+        ready = wait_for(lambda: drawn(cut(screenshot(page, "click-before"), scene)) > 0.05, 120, 1)
         assert ready
         time.sleep(5)
         before = screenshot(page, "click-before")
@@ -181,6 +171,6 @@ def test_clicking_a_point_names_its_origin_and_marks_it_in_both_photographs(serv
             marks = [cut(change[..., None], PAGES["Overview"][view]).sum() for view in ("image 1", "image 2")]
             return change[150:560, -PANEL + 10 :].mean() > 0.02 and all(20 < mark < 8000 for mark in marks)
 
-        assert wait_for(explained, 180)
+        assert wait_for(explained, 180, 1)
     finally:
         page.close()
