@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import logging
 import queue
 import time
 from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 from ..errors import InputError, OutputError
@@ -42,6 +45,7 @@ class DaskEngine:
         for name in ("distributed", "distributed.client", "distributed.comm"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
+            _reach(address)
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except Exception as error:  # whatever the transport of that address raises
             raise InputError(
@@ -153,7 +157,24 @@ class DaskEngine:
         return bool(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def close(self) -> None:
-        self._client.close(timeout=2)
+        with suppress(TimeoutError):  # of a cluster that is gone; what ended the sweep is what must be told
+            self._client.close(timeout=2)
+
+
+def _reach(address: str) -> None:
+    """Raise whatever the transport does where no scheduler answers.
+
+    A Client that finds none leaves its thread behind, and deadlocks when it is collected while another one starts
+    (distributed 2026.8), so none is made before somebody answers. In a thread: a notebook has a loop of its own.
+    """
+    from distributed.comm import connect
+
+    async def reach() -> None:
+        comm = await connect(address, timeout=CONNECT_S)
+        await comm.close()
+
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(lambda: asyncio.run(reach())).result()
 
 
 def _perform(task: Task, setup: Setup, images: dict[str, bytes], inputs: dict[str, bytes]) -> Outcome:
