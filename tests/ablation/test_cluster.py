@@ -176,7 +176,9 @@ def hosts(n: int) -> Iterator[list[str]]:
     """Network namespaces with addresses 10.97.0.2 ... joined by a bridge at 10.97.0.1; skips where none can be made."""
     if shutil.which("ip") is None:
         pytest.skip("there is no `ip` command to make network namespaces with")
-    tag = f"sfm{os.getpid() % 10_000}{chr(97 + next(_SETS) % 26)}"  # another each time: links go a while after their host
+    tag = (
+        f"sfm{os.getpid() % 10_000}{chr(97 + next(_SETS) % 26)}"  # another each time: links go a while after their host
+    )
     made: list[list[str]] = []
     try:
         _ip("link", "add", tag, "type", "bridge")
