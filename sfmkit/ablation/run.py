@@ -81,7 +81,7 @@ def ablate(
         operators: names; their order is that of the combinations' names.
         combos: ``all``, ``pairs``, ``leave-one-out``, or a list (:func:`~.variants.choose_combinations`).
         seeds: each estimate is made with seeds 0 ... seeds - 1.
-        preset: ``default``, ``paper``, or several.
+        preset: ``default``, ``dense``, ``paper``, or several.
         vary: setting -> values, every combination of them (:func:`~.variants.choose_variants`).
         out: folder of the sweep, which goes on where it stopped; None keeps the table in memory.
         root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.

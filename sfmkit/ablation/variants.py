@@ -103,7 +103,7 @@ class Variant:
     """A preset with some settings changed.
 
     Attributes:
-        preset: ``default`` or ``paper``.
+        preset: ``default``, ``dense`` or ``paper``.
         changes: (name, value); a name is a stage's setting or ``operator.option``.
     """
 
@@ -149,7 +149,7 @@ def choose_variants(
     """Every preset with every combination of the varied values.
 
     Args:
-        presets: ``default``, ``paper``, in any case.
+        presets: ``default``, ``dense``, ``paper``, in any case.
         vary: name -> values. A name is a stage's setting (:data:`STAGE_SETTINGS`), ``operator.option``, or the
             beginning of either that only one has: ``hessian`` for ``surf.hessian_threshold``.
 

@@ -33,8 +33,8 @@ from .ablate_report import report
     default="default",
     show_default=True,
     callback=names,
-    metavar="default|PAPER",
-    help="One, or both: default,PAPER.",
+    metavar="A,B",
+    help="default, dense or paper; several: each of them.",
 )
 @click.option(
     "--vary",
