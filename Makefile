@@ -32,11 +32,11 @@ test: $(READY)
 lab: $(READY)
 	$(BIN)/sfmkit lab
 
-# Notebooks are shown as they are stored, without results; `make docs NOTEBOOKS=force` runs them for the site.
-NOTEBOOKS ?= off
+# Runs the notebooks for their results, which takes minutes; `make docs NOTEBOOKS=off` shows them as they are stored.
+NOTEBOOKS ?= force
 
 docs: $(READY)
-	$(BIN)/sphinx-build -W --keep-going -q -b html -D nb_execution_mode=$(NOTEBOOKS) docs out/docs
+	$(BIN)/sphinx-build -W --keep-going -b html -D nb_execution_mode=$(NOTEBOOKS) docs out/docs
 
 # Goes on where it was interrupted; remove $(REPORT) to measure anew.
 REPORT ?= out/report

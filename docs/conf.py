@@ -31,9 +31,8 @@ html_show_copyright = False
 myst_enable_extensions = ["amsmath", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# Notebooks are shown as they are stored, without outputs: every build is the same and takes seconds. The tests execute
-# them; `make docs NOTEBOOKS=force` shows their results too.
-nb_execution_mode = "off"
+# They are stored without outputs, and run anew for every site: a cache would not notice that the library has changed.
+nb_execution_mode = "force"
 nb_execution_timeout = 180
 nb_execution_raise_on_error = True
 nb_merge_streams = True

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ._forward_mode import forward_mode
 from ._rays import Vector
 from ._two_view_problem import Problem, State
 
@@ -47,7 +48,8 @@ def hessian(state: State, problem: Problem) -> Hessian:
 
     def along(camera: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         direction = camera.expand_as(zero).clone(), points.expand_as(y).clone()
-        return torch.func.jvp(lambda c, p: gradient(c, p, state, problem), (zero, y), direction)[1]
+        with forward_mode():
+            return torch.func.jvp(lambda c, p: gradient(c, p, state, problem), (zero, y), direction)[1]
 
     eye_c = torch.eye(m, dtype=y.dtype, device=y.device)
     eye_y = torch.eye(3, dtype=y.dtype, device=y.device)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ._checks import check_matrices, check_points
+from ._forward_mode import forward_mode
 from .coordinates import _hartley
 from .homography import _homography_sampson
 from .losses import marginal_score, marginal_weight
@@ -132,7 +133,8 @@ def _attach_derivatives(H: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | Non
 
     gradient = torch.func.grad(cost)
     fixed = [None if a is None else a.detach() for a in (x1, x2, weights)]
-    hessian = torch.func.jacfwd(gradient)(free, *fixed)
+    with forward_mode():
+        hessian = torch.func.jacfwd(gradient)(free, *fixed)
     step = -torch.linalg.pinv(hessian, rtol=1e-14) @ gradient(free, x1, x2, weights)
     H = torch.linalg.inv(T2) @ torch.cat((free + step, free.new_ones(1))).view(3, 3) @ T1
     return H / H[2, 2]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ._checks import _traced, check_intrinsics, check_points
+from ._forward_mode import forward_mode
 from .coordinates import _normalize, inverse_intrinsics, to_homogeneous
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .losses import Loss, LossTerms, loss_terms
@@ -235,10 +236,11 @@ def _attach_derivatives(
 
     gradient = torch.func.grad(cost)
     zero = torch.zeros_like(t[..., :1]).repeat_interleave(5, -1)
-    columns = [
-        torch.func.jvp(lambda s: gradient(s, fixed), (zero,), (e.expand_as(zero).clone(),))[1]
-        for e in torch.eye(5, dtype=t.dtype, device=t.device)
-    ]
+    with forward_mode():
+        columns = [
+            torch.func.jvp(lambda s: gradient(s, fixed), (zero,), (e.expand_as(zero).clone(),))[1]
+            for e in torch.eye(5, dtype=t.dtype, device=t.device)
+        ]
     # The pseudo-inverse: where nothing counts any more (all residuals cut off) the derivative is zero, not an error.
     inverse = torch.linalg.pinv(torch.stack(columns, -1), rtol=1e-14)
     step = -(inverse @ gradient(zero, matches)[..., None]).squeeze(-1)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 from made_up_scene import make_scene
@@ -127,3 +132,33 @@ def test_a_refined_homography_is_differentiated_through_its_maximum():
     plain = refine_homography(start, s.x1, s.x2, w, threshold_px=5.0, max_iterations=60)
     traced = refine_homography(start, *values, threshold_px=5.0, max_iterations=60)
     assert float((transfer(traced.detach(), s.x1) - transfer(plain, s.x1)).norm(dim=-1).max()) < 0.01  # pixels
+
+
+ONE_GRADIENT = {
+    "refine_essential": "refine_essential(s.R, s.t, x1, s.x2, s.K1, s.K2).t",
+    "bundle_adjust": "bundle_adjust(x1, s.x2, s.K1, s.K2, s.R, s.t).t",
+    "refine_homography": "refine_homography(homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2), x1, s.x2)",
+}
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("call", ONE_GRADIENT.values(), ids=ONE_GRADIENT)
+def test_a_first_gradient_warns_of_nothing(call):
+    """In a fresh process: what torch says on its first forward-mode derivative, it says once."""
+    lines = (
+        "from made_up_scene import make_scene",
+        "from sfmkit.geometry.bundle import bundle_adjust",
+        "from sfmkit.geometry.homography import homography_from_pose",
+        "from sfmkit.geometry.homography_refinement import refine_homography",
+        "from sfmkit.geometry.refinement import refine_essential",
+        "s = make_scene(20, noise=0.4, planar=True)",
+        "x1 = s.x1.clone().requires_grad_()",
+        f"{call}.sum().backward()",
+        "assert x1.grad.isfinite().all()",
+    )
+    made = subprocess.run(
+        [sys.executable, "-W", "error::FutureWarning", "-c", "\n".join(lines)],
+        cwd=Path(__file__).parent, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr[-2000:]
+    assert made.stderr == ""
