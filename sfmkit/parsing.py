@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import click
-
-from .errors import OutputError
 
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
@@ -15,12 +12,6 @@ _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 def names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     """``"a, b"`` as ``("a", "b")``; an option that was not given stays None."""
     return None if value is None else tuple(part.strip() for part in value.split(",") if part.strip())
-
-
-def refuse_existing(out: Path, overwrite: bool) -> None:
-    """Before any work is done; :func:`sfmkit.writing.staged_folder` would refuse at its end."""
-    if out.exists() and not overwrite:
-        raise OutputError(f"the folder {out} exists; choose another with --out, or replace it with --overwrite")
 
 
 def size_in_bytes(_ctx: click.Context, _param: click.Parameter, value: str) -> int:

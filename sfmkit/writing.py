@@ -57,7 +57,7 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
         OutputError: `path` exists and `overwrite` is not set, or is a file; it cannot be written; or the disk is full.
     """
     path = Path(os.path.abspath(path))  # not resolved: a link is replaced, not what it points to
-    _check_free(path, overwrite)
+    check_free(path, overwrite)
     made = [parent for parent in path.parents if not parent.exists()]  # innermost first
     staged = _beside(path)
     try:
@@ -78,12 +78,16 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
                 parent.rmdir()
 
 
-def _check_free(path: Path, overwrite: bool) -> None:
-    """Refuse a `path` that is taken."""
+def check_free(path: Path, overwrite: bool) -> None:
+    """Refuse a folder's `path` that is taken, as :func:`staged_folder` would: for commands, before they work for it.
+
+    Raises:
+        OutputError: `path` exists and `overwrite` is not set, is a file, or holds the working folder.
+    """
     if path.is_dir():
         if not overwrite:
-            raise OutputError(f"the folder {path} exists; choose another, or replace it with --overwrite")
-        if path in (Path.cwd(), *Path.cwd().parents):
+            raise OutputError(f"the folder {path} exists; choose another with --out, or replace it with --overwrite")
+        if Path(os.path.abspath(path)) in (Path.cwd(), *Path.cwd().parents):
             raise OutputError(f"{path} is the working folder or above it and is not replaced; choose a folder in it")
     elif os.path.lexists(path):
         raise OutputError(f"{path} is a file; choose a folder to write to")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import InputError
-from ..parsing import refuse_existing
 from ..progress import progress
+from ..writing import check_free
 from .clouds import read_cloud
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def compare(
 
     from ..exit_status import OK, UNTRUSTWORTHY
 
-    refuse_existing(out, overwrite)
+    check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("read", f"{first}, {second}")
         from .. import compare as comparing

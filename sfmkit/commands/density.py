@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..parsing import refuse_existing
 from ..progress import progress
+from ..writing import check_free
 from .clouds import read_cloud
 
 if TYPE_CHECKING:
@@ -30,8 +30,7 @@ def density(cloud: Path, radius: float | None, out: Path, overwrite: bool, quiet
     A point counts as its own neighbour, and a distance of exactly R is within. Writes density.json, density.ply (coloured,
     with the counts), density.png and histogram.png to the folder --out.
     """
-
-    refuse_existing(out, overwrite)
+    check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("read", str(cloud))
         from ..density import check_radius

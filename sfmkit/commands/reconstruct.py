@@ -9,8 +9,9 @@ from typing import Any
 import click
 
 from ..exit_status import OK, UNTRUSTWORTHY
-from ..parsing import names, refuse_existing
+from ..parsing import names
 from ..progress import progress
+from ..writing import check_free
 
 OPERATORS = "surf,orb,fast-brief"
 
@@ -95,7 +96,7 @@ def reconstruct(
     """
     from dataclasses import replace
 
-    refuse_existing(out, overwrite)
+    check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("start", "loading libraries")
         from ..cameras import read_truth

@@ -6,7 +6,6 @@ Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on where 
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Iterable, Sequence
@@ -187,7 +186,7 @@ def _estimate(
         "inliers": int(result.inliers.sum()),
         "guided": 0 if result.guided is None else len(result.guided),
         "rmse": None if H is None else homography_rmse(H, H_true),
-        "corner_error_px": None if corner is None or math.isinf(corner) else corner,
+        "corner_error_px": finite(corner),
         "log10_false_alarms": finite(result.evidence.get("log10_false_alarms")),
         "seconds": seconds,
     }

@@ -100,6 +100,10 @@ def drawn(pixels: np.ndarray) -> float:
     return 1 - counts.max() / len(flat)
 
 
+def all_drawn(shot: np.ndarray, views: dict[str, Box]) -> bool:
+    return all(drawn(cut(shot, box)) > 0.01 for box in views.values())
+
+
 def coloured(pixels: np.ndarray, *colours: tuple[int, int, int]) -> np.ndarray:
     """Which pixels are nearly of one of the colours."""
     return np.any([np.abs(pixels - np.array(rgb)).max(-1) < 80 for rgb in colours], axis=0)
@@ -118,11 +122,7 @@ def test_every_view_of_every_page_shows_something_and_nothing_is_complained_of(s
                 page.mouse.click(TABS[name], 50)
             label = f"viewer-{size[0]}-{name.split()[0].lower()}"
 
-            def all_drawn(label=label, views=views) -> bool:
-                shot = screenshot(page, label)
-                return all(drawn(cut(shot, box)) > 0.01 for box in views.values())
-
-            if not wait_for(all_drawn, 120, 1):
+            if not wait_for(lambda label=label, views=views: all_drawn(screenshot(page, label), views), 120, 1):
                 shot = screenshot(page, label)
                 pytest.fail(f"{name}: " + str({view: f"{drawn(cut(shot, box)):.1%}" for view, box in views.items()}))
         page.mouse.click(TABS["Overview"], 50)
@@ -140,16 +140,17 @@ def test_every_view_of_every_page_shows_something_and_nothing_is_complained_of(s
     assert ours == []
 
 
-def settled(page, name: str, seconds: float = 60) -> np.ndarray:
-    """The page once it has stopped changing, however long a frame takes here; as it is when that takes too long."""
-    shots = [screenshot(page, name)]
+def settled(page, name: str) -> np.ndarray:
+    """The page once it has stopped changing, however long a frame takes here; as it is after a minute."""
+    shot = screenshot(page, name)
 
     def still() -> bool:
-        shots.append(screenshot(page, name))
-        return np.array_equal(*(shot[TOP:-BOTTOM] for shot in shots[-2:]))  # the bar above tells a running latency
+        nonlocal shot
+        before, shot = shot, screenshot(page, name)
+        return np.array_equal(before[TOP:-BOTTOM], shot[TOP:-BOTTOM])  # the bar above tells a running latency
 
-    wait_for(still, seconds, 1)
-    return shots[-1]
+    wait_for(still, 60, 1)
+    return shot
 
 
 def test_clicking_a_point_names_its_origin_and_marks_it_in_both_photographs(server, browser):
@@ -160,11 +161,10 @@ def test_clicking_a_point_names_its_origin_and_marks_it_in_both_photographs(serv
         page.goto(server.url)
         page.wait_for_selector("canvas", timeout=120_000)
         page.mouse.move(*aside)
-        assert wait_for(
-            lambda: all(drawn(cut(screenshot(page, "click-before"), box)) > 0.01 for box in overview.values()), 120, 1
-        )
+        assert wait_for(lambda: all_drawn(screenshot(page, "click-before"), overview), 120, 1)
         before = settled(page, "click-before")
         pixels = cut(before, overview["scene"])
+        assert drawn(pixels) > 0.05
         dots = (pixels.max(-1) < 200) & ~coloured(pixels, *map(operator_rgb, OPERATORS))
         dots[: len(dots) // 8] = dots[len(dots) // 2 :] = False  # the cloud stands above the cameras
         density = uniform_filter(dots.astype(float), 5)
