@@ -50,6 +50,7 @@ report: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check sfmkit tests benchmarks notebooks docs/conf.py
+	$(BIN)/lint-imports
 
 types: $(READY)
 	$(BIN)/mypy

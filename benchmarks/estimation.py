@@ -1,17 +1,23 @@
-"""Robust estimation side by side: five-point hypotheses against kornia, whole estimates against PoseLib, pycolmap and OpenCV.
+"""Robust estimation side by side: five-point hypotheses against kornia, whole estimates against
+PoseLib, pycolmap and OpenCV.
 
-    SFMKIT_DATA=... python benchmarks/estimation.py [--threads 2] [--runs 5] [--step 4] [--seeds 3] [--scenes fountain,courtyard]
+    SFMKIT_DATA=... python benchmarks/estimation.py [--threads 2] [--runs 5] [--step 4] [--seeds 3]
+    [--scenes fountain,courtyard]
 
 Prints, as Markdown:
 
-* 1000 five-point samples, all real solutions, scored against 10,000 matches: ours, and ``kornia.geometry.RANSAC`` for as many
-  hypotheses (its own stopping switched off);
-* on the fused matches of pairs of photographs at most `step` views apart, of EPFL fountain-P11 at half size and of a walk
-  through the rendered courtyard: time and pose error of every estimator on the very same matches, and the AUC of
-  max(rotation, translation) error. Ours is shown twice: given the matches alone, as the others are, and told the distance
-  ratio and operator of each match as well, which the others have no way to take.
+* 1000 five-point samples, all real solutions, scored against 10,000 matches: ours, and
+  ``kornia.geometry.RANSAC`` for as many hypotheses (its own stopping switched off);
+* on the fused matches of pairs of photographs at most `step` views apart, of EPFL fountain-P11 at
+  half size and of a walk
+  through the rendered courtyard: time and pose error of every estimator on the very same matches,
+      and the AUC of
+  max(rotation, translation) error. Ours is shown twice: given the matches alone, as the others are,
+  and told the distance ratio and operator of each match as well, which the others have no way to
+  take.
 
-Times are wall-clock, the estimators taking turns in one process; what is shown is the median over pairs and the sum.
+Times are wall-clock, the estimators taking turns in one process; what is shown is the median over
+pairs and the sum.
 """
 
 from __future__ import annotations
@@ -30,19 +36,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sfmkit.cameras import read_truth
-from sfmkit.datasets.scenes import Scene, look
+from sfmkit.datasets.rendering.scenes import Scene, look
 from sfmkit.datasets.synthetic import named_scene, relative_pose, render
 from sfmkit.estimation import RobustModel, opencv, peers, robust
 from sfmkit.estimation._problems import EssentialProblem
 from sfmkit.features import detect
-from sfmkit.fusion import fuse
 from sfmkit.geometry.coordinates import normalize
 from sfmkit.geometry.essential import decompose_essential
 from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
 from sfmkit.geometry.pose import pose_auc, rotation_error, translation_error
-from sfmkit.images import read_image
-from sfmkit.matching import match
+from sfmkit.io.cameras import read_truth
+from sfmkit.io.images import read_image
+from sfmkit.matching.fusion import fuse
+from sfmkit.matching.nearest import match
 from sfmkit.types import Correspondences
 
 OPERATORS = ("surf", "orb", "fast-brief")
@@ -62,7 +68,9 @@ class MatchedPair:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=5, help="of the five-point samples")
     parser.add_argument("--step", type=int, default=4, help="most views between two photographs")
@@ -85,12 +93,18 @@ def fountain(step: int) -> list[MatchedPair]:
     K[:2] /= 2
     K[:2, 2] -= 0.25  # pixel centres are at integers
     paths = sorted((folder / "images").glob("*.jpg"))
-    images = (cv2.resize(read_image(p).rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for p in paths)
-    return matched(images, K, step, lambda i, j: read_truth(folder / "gt_dense_cameras", paths[i], paths[j]))
+    images = (
+        cv2.resize(read_image(p).rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        for p in paths
+    )
+    return matched(
+        images, K, step, lambda i, j: read_truth(folder / "gt_dense_cameras", paths[i], paths[j])
+    )
 
 
 def courtyard(step: int) -> list[MatchedPair]:
-    """Along an arc of 5 m before the wall, stooping and stretching, looking at about the same place."""
+    """Along an arc of 5 m before the wall, stooping and stretching, looking at about the same
+    place."""
     surfaces = named_scene("courtyard").surfaces
     s = np.linspace(-1, 1, VIEWS)
     poses = [
@@ -104,7 +118,11 @@ def courtyard(step: int) -> list[MatchedPair]:
     images, K = [], None
     for i in range(0, VIEWS, 2):
         p = render(
-            Scene("walk", surfaces, poses[i], poses[i + 1]), size_wh=SIZE_WH, blur=0.8, noise=2.0, jpeg_quality=90
+            Scene("walk", surfaces, poses[i], poses[i + 1]),
+            size_wh=SIZE_WH,
+            blur=0.8,
+            noise=2.0,
+            jpeg_quality=90,
         )
         images += [p.image1, p.image2]
         K = p.camera1.K
@@ -114,7 +132,9 @@ def courtyard(step: int) -> list[MatchedPair]:
 SCENES = {"fountain": fountain, "courtyard": courtyard}
 
 
-def matched(images: Iterable[np.ndarray], K: np.ndarray, step: int, truth: Callable) -> list[MatchedPair]:
+def matched(
+    images: Iterable[np.ndarray], K: np.ndarray, step: int, truth: Callable
+) -> list[MatchedPair]:
     features = [{o: detect(image, o) for o in OPERATORS} for image in images]
     pairs = []
     for i in range(len(features)):
@@ -149,7 +169,12 @@ def hypotheses(pair: MatchedPair, runs: int) -> None:
 
     def theirs() -> None:
         ransac = kornia.geometry.RANSAC(
-            "essential", inl_th=1.0 / float(K[0, 0]), batch_size=1000, max_iter=1, confidence=1.0, max_lo_iters=0
+            "essential",
+            inl_th=1.0 / float(K[0, 0]),
+            batch_size=1000,
+            max_iter=1,
+            confidence=1.0,
+            max_lo_iters=0,
         )
         ransac(n1, n2)
 
@@ -165,14 +190,22 @@ def estimators(p: MatchedPair, seed: int) -> dict[str, Callable[[], RobustModel]
     known = {"ratio": p.corr.ratio, "groups": p.corr.operator_id}
     given = (p.x1, p.x2, p.K, p.K)
     return {
-        "sfmkit, told ratios and operators": lambda: robust.estimate_essential(*given, seed=seed, **known),
+        "sfmkit, told ratios and operators": lambda: robust.estimate_essential(
+            *given, seed=seed, **known
+        ),
         "sfmkit": lambda: robust.estimate_essential(*given, seed=seed),
         "PoseLib": lambda: poselib.estimate_essential(*given, seed=seed),
-        "PoseLib, 100,000 samples": lambda: poselib.estimate_essential(*given, seed=seed, max_iterations=100_000),
+        "PoseLib, 100,000 samples": lambda: poselib.estimate_essential(
+            *given, seed=seed, max_iterations=100_000
+        ),
         "pycolmap": lambda: pycolmap.estimate_essential(*given, seed=seed),
-        "pycolmap, 100,000 samples": lambda: pycolmap.estimate_essential(*given, seed=seed, max_iterations=100_000),
+        "pycolmap, 100,000 samples": lambda: pycolmap.estimate_essential(
+            *given, seed=seed, max_iterations=100_000
+        ),
         "cv2 USAC_MAGSAC": lambda: opencv.estimate_essential(*given, seed=seed),
-        "cv2 USAC_ACCURATE": lambda: opencv.estimate_essential(*given, seed=seed, method="usac_accurate"),
+        "cv2 USAC_ACCURATE": lambda: opencv.estimate_essential(
+            *given, seed=seed, method="usac_accurate"
+        ),
     }
 
 
@@ -188,7 +221,11 @@ def estimates(pairs: list[MatchedPair], seeds: int) -> None:
                 errors.setdefault(name, []).append(pose_error(E, p))
     counts = [len(p.corr) for p in pairs]
     right = [
-        float((sampson_distance(fundamental_from_pose(p.R, p.t, p.K, p.K), p.x1, p.x2).abs() < 1).double().mean())
+        float(
+            (sampson_distance(fundamental_from_pose(p.R, p.t, p.K, p.K), p.x1, p.x2).abs() < 1)
+            .double()
+            .mean()
+        )
         for p in pairs
     ]
     print(
@@ -209,7 +246,8 @@ def estimates(pairs: list[MatchedPair], seeds: int) -> None:
 
 
 def pose_error(E: Tensor | None, p: MatchedPair) -> float:
-    """The larger of rotation and translation error, degrees, of the best of the four poses; 180 without a model."""
+    """The larger of rotation and translation error, degrees, of the best of the four poses; 180
+    without a model."""
     if E is None:
         return 180.0
     Rs, ts = decompose_essential(E)

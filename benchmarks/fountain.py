@@ -1,15 +1,17 @@
-"""The main job on EPFL fountain-P11, images 0000 and 0001 at full size: ours, the paper's recipe, and COLMAP.
+"""The main job on EPFL fountain-P11, images 0000 and 0001 at full size: ours, the paper's recipe,
+and COLMAP.
 
     SFMKIT_DATA=... python benchmarks/fountain.py [--runs 3] [--markdown]
 
-Prints the account of every preset beside the paper's Table 6, the pose error and the precision of the cloud's matches
-against the true cameras, and the times, side by side in one run:
+Prints the account of every preset beside the paper's Table 6, the pose error and the precision of
+the cloud's matches against the true cameras, and the times, side by side in one run:
 
 * sfmkit, every preset, reading to triangulating (imports aside);
 * the paper's recipe written straight with cv2: the same operators, ``BFMatcher(crossCheck=True)``,
-  ``findFundamentalMat(RANSAC, 3 px)``, ``recoverPose``, ``triangulatePoints``. OpenCV's wheels have no SURF, so ours
-  stands in, which is faster than theirs and so favours the recipe;
-* pycolmap: SIFT extraction, matching and two-view geometry (its database path), with the same number of threads.
+  ``findFundamentalMat(RANSAC, 3 px)``, ``recoverPose``, ``triangulatePoints``. OpenCV's wheels have
+  no SURF, so ours stands in, which is faster than theirs and so favours the recipe;
+* pycolmap: SIFT extraction, matching and two-view geometry (its database path), with the same
+  number of threads.
 """
 
 from __future__ import annotations
@@ -28,13 +30,13 @@ import numpy as np
 import torch
 
 from sfmkit import reconstruct
-from sfmkit.datasets.pairs import Pair
+from sfmkit.datasets.pair import Pair
 from sfmkit.datasets.strecha import strecha
 from sfmkit.evaluation.colmap_peer import two_view_inliers
 from sfmkit.evaluation.fountain import right_matches, true_fundamental
 from sfmkit.evaluation.paper import FOUNTAIN
 from sfmkit.features import detect
-from sfmkit.images import read_image
+from sfmkit.io.images import read_image
 from sfmkit.options import PRESETS
 from sfmkit.types import Camera
 
@@ -57,7 +59,11 @@ def recipe(path1: Path, path2: Path, K: np.ndarray) -> dict:
     _, R, t, front = cv2.recoverPose(K.T @ F @ K, a[inlier], b[inlier], K)
     P2 = K @ np.hstack([R, t])
     X = cv2.triangulatePoints(K @ np.eye(3, 4), P2, a[inlier].T, b[inlier].T)
-    return {"seconds": time.perf_counter() - began, "points": int((X[3] != 0).sum()), "matches": len(a)}
+    return {
+        "seconds": time.perf_counter() - began,
+        "points": int((X[3] != 0).sum()),
+        "matches": len(a),
+    }
 
 
 def colmap(path1: Path, path2: Path, camera: Camera) -> dict:
@@ -68,28 +74,50 @@ def colmap(path1: Path, path2: Path, camera: Camera) -> dict:
 
 def print_account(label: str, result) -> None:
     print(f"\n{label}")
-    print(f"  {'operator':<12}{'initial':>9}{'paper':>9}{'points':>9}{'paper':>9}{'loss %':>8}{'paper':>8}")
+    print(
+        f"  {'operator':<12}{'initial':>9}{'paper':>9}{'points':>9}{'paper':>9}{'loss %':>8}{'paper':>8}"
+    )
     for name, (initial, points, loss) in FOUNTAIN.items():
         a = result.account[name]
-        print(f"  {name:<12}{a.initial:>9,}{initial:>9,}{a.points:>9,}{points:>9,}{100 * a.loss:>8.2f}{loss:>8.2f}")
+        print(
+            f"  {name:<12}{a.initial:>9,}{initial:>9,}{a.points:>9,}{points:>9,}{100 * a.loss:>8.2f}{loss:>8.2f}"
+        )
 
 
 def peak_memory(preset: str, pair: Pair) -> float:
     """GiB of a whole process that runs the command once."""
     K = pair.image1.parent / "K.txt"
     with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "-m", "sfmkit.cli", "reconstruct", str(pair.image1), str(pair.image2), "--intrinsics", str(K),
-                   "--preset", preset, "--out", out, "--overwrite", "--quiet"]  # fmt: skip
+        command = [
+            sys.executable,
+            "-m",
+            "sfmkit.cli",
+            "reconstruct",
+            str(pair.image1),
+            str(pair.image2),
+            "--intrinsics",
+            str(K),
+            "--preset",
+            preset,
+            "--out",
+            out,
+            "--overwrite",
+            "--quiet",
+        ]
         code = (
             "import resource,subprocess,sys; r=subprocess.run(sys.argv[1:]);"
             "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss); sys.exit(r.returncode)"
         )
-        done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, *command], capture_output=True, text=True, check=True
+        )
         return int(done.stdout.split()[-1]) / 2**20
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--no-peers", action="store_true")
     arguments = parser.parse_args()
@@ -132,11 +160,15 @@ def main() -> None:
     base = statistics.median(seconds["sfmkit, default preset"])
     for name, s in seconds.items():
         m = statistics.median(s)
-        print(f"{name:<26}{m:>10.2f}{min(s):>8.2f}{max(s):>8.2f}{points[name]:>9,}{m / base:>11.2f}")
+        print(
+            f"{name:<26}{m:>10.2f}{min(s):>8.2f}{max(s):>8.2f}{points[name]:>9,}{m / base:>11.2f}"
+        )
     for preset in PRESETS:
         print(f"peak memory, whole command, {preset} preset: {peak_memory(preset, pair):.2f} GiB")
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"peak memory of this benchmark, all jobs together: {own:.2f} GiB; threads {torch.get_num_threads()}")
+    print(
+        f"peak memory of this benchmark, all jobs together: {own:.2f} GiB; threads {torch.get_num_threads()}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,16 +1,18 @@
-"""Two-view geometry side by side: triangulation and cheirality against OpenCV and kornia, and the cost from 1k to 1M points.
+"""Two-view geometry side by side: triangulation and cheirality against OpenCV and kornia, and the
+cost from 1k to 1M points.
 
     python benchmarks/geometry.py [--threads 2] [--runs 15] [--largest 1000000]
 
 Prints, as Markdown:
 
-* 30,000 matches, float64: triangulation against ``cv2.triangulatePoints`` and ``kornia.geometry.triangulate_points``;
-  the choice among four poses against ``cv2.recoverPose``;
-* time per point and peak memory of triangulation, residuals and one step of bundle adjustment as N grows tenfold.
+* 30,000 matches, float64: triangulation against ``cv2.triangulatePoints`` and
+  ``kornia.geometry.triangulate_points``; the choice among four poses against ``cv2.recoverPose``;
+* time per point and peak memory of triangulation, residuals and one step of bundle adjustment as N
+  grows tenfold.
 
-Times are medians, the competitors taking turns in one process: wall-clock time beside peers, processor time (all threads)
-for the growth, which other work on the machine disturbs less. Memory is the growth of the resident set
-of a fresh child process over its inputs.
+Times are medians, the competitors taking turns in one process: wall-clock time beside peers,
+processor time (all threads) for the growth, which other work on the machine disturbs less. Memory
+is the growth of the resident set of a fresh child process over its inputs.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ Call = Callable[[], object]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=15)
     parser.add_argument("--largest", type=int, default=1_000_000)
@@ -57,10 +61,18 @@ def main() -> None:
 def scene(n: int, noise: float = 0.5) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Pixels in both images, K, R, t and nothing hidden: points in a box before two cameras."""
     g = torch.Generator().manual_seed(0)
-    X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor([-2.0, -1.5, 4.0])
-    R, t = so3_exp(torch.tensor([0.05, -0.15, 0.03], dtype=D)), torch.tensor([1.0, 0.1, -0.2], dtype=D)
+    X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor(
+        [-2.0, -1.5, 4.0]
+    )
+    R, t = (
+        so3_exp(torch.tensor([0.05, -0.15, 0.03], dtype=D)),
+        torch.tensor([1.0, 0.1, -0.2], dtype=D),
+    )
     K = torch.tensor([[1000.0, 0, 640], [0, 1000, 480], [0, 0, 1]], dtype=D)
-    x1, x2 = (x + noise * torch.randn(n, 2, generator=g, dtype=D) for x in (project(X, K), project(X, K, R, t)))
+    x1, x2 = (
+        x + noise * torch.randn(n, 2, generator=g, dtype=D)
+        for x in (project(X, K), project(X, K, R, t))
+    )
     return x1, x2, K, R, t / t.norm()
 
 
@@ -133,7 +145,10 @@ def growth(sizes: list[int], memory: dict[int, dict[str, float]], runs: int) -> 
 
 def peak_memory(n: int) -> dict[str, float]:
     """Megabytes that each call takes at its peak beyond what its inputs do."""
-    return {name: in_child(n, name) for name in ("triangulate", "residuals", "bundle step", "covariance")}
+    return {
+        name: in_child(n, name)
+        for name in ("triangulate", "residuals", "bundle step", "covariance")
+    }
 
 
 def in_child(n: int, name: str) -> float:
@@ -160,7 +175,9 @@ def resident() -> float:
         return int(statm.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def medians(calls: dict[str, Call], runs: int, clock: Callable[[], float] = time.perf_counter) -> dict[str, float]:
+def medians(
+    calls: dict[str, Call], runs: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
     for call in calls.values():
         call()
     times: dict[str, list[float]] = {name: [] for name in calls}

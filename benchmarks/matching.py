@@ -1,10 +1,12 @@
-"""How long matching takes: ours against cv2.BFMatcher(crossCheck=True) and, where installed, faiss; all exact.
+"""How long matching takes: ours against cv2.BFMatcher(crossCheck=True) and, where installed, faiss;
+all exact.
 
     SFMKIT_DATA=... python benchmarks/matching.py [--rounds 5] [PHOTO1 PHOTO2]
 
-Descriptors of two photographs (EPFL fountain-P11, 0000 and 0001), found with the paper's settings and thinned evenly to
-the sizes shown. The ways take turns in one process with all cores; medians. Processor time tells what a busy machine hides. Memory
-is the peak above what was there before the call (Linux). faiss searches once each way, and the mutual pairs are kept.
+Descriptors of two photographs (EPFL fountain-P11, 0000 and 0001), found with the paper's settings
+and thinned evenly to the sizes shown. The ways take turns in one process with all cores; medians.
+Processor time tells what a busy machine hides. Memory is the peak above what was there before the
+call (Linux). faiss searches once each way, and the mutual pairs are kept.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ import cv2
 import numpy as np
 
 from sfmkit.features import detect
-from sfmkit.images import read_image
-from sfmkit.matching import match
+from sfmkit.io.images import read_image
+from sfmkit.matching.nearest import match
 from sfmkit.types import Features
 
 try:
@@ -87,7 +89,10 @@ def thinned(f: Features, n: int) -> Features:
 
 
 def compare(name: str, a: Features, b: Features, rounds: int) -> None:
-    ways: dict[str, Callable[[Features, Features], Pairs]] = {"cv2.BFMatcher": opencv, "sfmkit": ours}
+    ways: dict[str, Callable[[Features, Features], Pairs]] = {
+        "cv2.BFMatcher": opencv,
+        "sfmkit": ours,
+    }
     if faiss:
         ways["faiss"] = faiss_both_ways
     pairs = {way: set(zip(*(x.tolist() for x in call(a, b)))) for way, call in ways.items()}
@@ -100,7 +105,11 @@ def compare(name: str, a: Features, b: Features, rounds: int) -> None:
             call(a, b)
             wall[way].append(time.perf_counter() - began)
             processor[way].append(time.process_time() - used)
-    width = f"{a.descriptors.shape[1]} floats" if a.norm == "l2" else f"{8 * a.descriptors.shape[1]} bits"
+    width = (
+        f"{a.descriptors.shape[1]} floats"
+        if a.norm == "l2"
+        else f"{8 * a.descriptors.shape[1]} bits"
+    )
     reference = "cv2.BFMatcher"
     for way in ways:
         t, c = median(wall[way]), median(processor[way])
@@ -113,7 +122,9 @@ def compare(name: str, a: Features, b: Features, rounds: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("photos", nargs="*", type=Path)
     parser.add_argument("--rounds", type=int, default=5)
     args = parser.parse_args()
@@ -128,7 +139,9 @@ def main() -> None:
     print(
         f"| {'descriptors':<18} | {'size':<28} | {'way':<13} | matches | as cv2  | wall s | x cv2   | CPU s  | x cv2   | MiB    |"
     )
-    print(f"|{'-' * 20}|{'-' * 30}|{'-' * 15}|--------:|--------:|-------:|--------:|-------:|--------:|-------:|")
+    print(
+        f"|{'-' * 20}|{'-' * 30}|{'-' * 15}|--------:|--------:|-------:|--------:|-------:|--------:|-------:|"
+    )
     found: dict[str, list[Features]] = {}
     for operator, n, gated in CASES:
         if operator not in found:

@@ -1,10 +1,11 @@
 """Feature operators on a real pair: how much each finds, how much of it is true, what it costs.
 
-    SFMKIT_DATA=... python benchmarks/operators.py [--operators orb,sift,fast+freak] [--pair 0] [--runs 3]
+    SFMKIT_DATA=... python benchmarks/operators.py [--operators orb,sift,fast+freak] [--pair 0]
+    [--runs 3]
 
-Matches are mutual nearest neighbours without further tests; a match is true when both of its points lie within 1 (or
-0.5) pixel of the true epipolar lines. Three tables: the operators; sub-pixel refinement off and on; a budget of 8,000
-filled with the strongest keypoints, and evenly.
+Matches are mutual nearest neighbours without further tests; a match is true when both of its points
+lie within 1 (or 0.5) pixel of the true epipolar lines. Three tables: the operators; sub-pixel
+refinement off and on; a budget of 8,000 filled with the strongest keypoints, and evenly.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 
 from sfmkit.datasets.strecha import strecha
 from sfmkit.features import OPERATORS, detect
-from sfmkit.images import read_image
-from sfmkit.matching import match
+from sfmkit.io.images import read_image
+from sfmkit.matching.nearest import match
 from sfmkit.types import Features
 
 SLOW = ("kaze",)
@@ -36,15 +37,20 @@ def line_distance(F_mat: np.ndarray, x1: np.ndarray, x2: np.ndarray) -> np.ndarr
     """The larger of the two distances to the true lines, pixels."""
     x1, x2 = (np.c_[x.astype(np.float64), np.ones(len(x))] for x in (x1, x2))
     line2, line1 = x1 @ F_mat.T, x2 @ F_mat
-    return np.abs((line2 * x2).sum(axis=1)) / np.minimum(*(np.hypot(*line[:, :2].T) for line in (line1, line2)))
+    return np.abs((line2 * x2).sum(axis=1)) / np.minimum(
+        *(np.hypot(*line[:, :2].T) for line in (line1, line2))
+    )
 
 
 def quality(F_mat: np.ndarray, f1: Features, f2: Features) -> tuple[int, float, float, float]:
-    """Matches, shares within 1 and 0.5 px, and the share of 64-pixel cells of image 1 with a true match."""
+    """Matches, shares within 1 and 0.5 px, and the share of 64-pixel cells of image 1 with a true
+    match."""
     m = match(f1, f2)
     x1 = f1.keypoints[m.index1]
     error = line_distance(F_mat, x1, f2.keypoints[m.index2])
-    cells = len(np.unique(x1[error < 1] // 64, axis=0)) / (-(-f1.size_wh[0] // 64) * -(-f1.size_wh[1] // 64))
+    cells = len(np.unique(x1[error < 1] // 64, axis=0)) / (
+        -(-f1.size_wh[0] // 64) * -(-f1.size_wh[1] // 64)
+    )
     return len(m), float(np.mean(error < 1)), float(np.mean(error < 0.5)), cells
 
 
@@ -54,12 +60,19 @@ def strongest(f: Features, n: int) -> Features:
 
 def opencv_alone(name: str):
     """The same work written straight with cv2, where that exists."""
-    options = {k: v for k, v in OPERATORS[name].options.items() if k not in ("subpixel", "oriented")}
+    options = {
+        k: v for k, v in OPERATORS[name].options.items() if k not in ("subpixel", "oriented")
+    }
     if name in ("sift", "orb", "akaze", "kaze", "brisk"):
-        create = getattr(cv2, f"{name.upper()}_create", None) or getattr(cv2.xfeatures2d, f"{name.upper()}_create")
+        create = getattr(cv2, f"{name.upper()}_create", None) or getattr(
+            cv2.xfeatures2d, f"{name.upper()}_create"
+        )
         return lambda grey: create(**options).detectAndCompute(grey, None)
     brief = cv2.xfeatures2d.BriefDescriptorExtractor_create
-    detector = {"fast-brief": cv2.FastFeatureDetector_create, "gftt-brief": cv2.GFTTDetector_create}.get(name)
+    detector = {
+        "fast-brief": cv2.FastFeatureDetector_create,
+        "gftt-brief": cv2.GFTTDetector_create,
+    }.get(name)
     if detector is None:
         return None
     own = {k: v for k, v in options.items() if k not in ("bytes", "use_orientation")}
@@ -84,7 +97,9 @@ def main() -> None:
     names = args.operators.split(",")
     print(f"{pair}, {images[0].size_wh[0]} x {images[0].size_wh[1]}\n")
 
-    print("| operator | keypoints | matches | < 1 px | < 0.5 px | true | s an image | x cv2 alone |")
+    print(
+        "| operator | keypoints | matches | < 1 px | < 0.5 px | true | s an image | x cv2 alone |"
+    )
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name in names:
         features = [detect(image, name) for image in images]
@@ -103,14 +118,19 @@ def main() -> None:
             flush=True,
         )
 
-    print("\n| sub-pixel | off: < 1 px | < 0.5 px | on: < 1 px | < 0.5 px |\n|---|---:|---:|---:|---:|")
+    print(
+        "\n| sub-pixel | off: < 1 px | < 0.5 px | on: < 1 px | < 0.5 px |\n|---|---:|---:|---:|---:|"
+    )
     for name in ("orb", "fast-brief", "agast+brief", "gftt-brief", "harris-brief"):
         off, on = (
-            quality(F_mat, *(detect(image, name, subpixel=subpixel) for image in images)) for subpixel in (False, True)
+            quality(F_mat, *(detect(image, name, subpixel=subpixel) for image in images))
+            for subpixel in (False, True)
         )
         print(f"| {name} | {off[1]:.1%} | {off[2]:.1%} | {on[1]:.1%} | {on[2]:.1%} |", flush=True)
 
-    print(f"\n| budget {BUDGET:,} | strongest: true | cells covered | evenly: true | cells covered |")
+    print(
+        f"\n| budget {BUDGET:,} | strongest: true | cells covered | evenly: true | cells covered |"
+    )
     print("|---|---:|---:|---:|---:|")
     for name in ("orb", "surf", "sift"):
         every = [detect(image, name) for image in images]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import PIL.Image
 
-from sfmkit.images import read_image
+from sfmkit.io.images import read_image
 
 ROUNDS = 15
 
@@ -28,7 +28,11 @@ def main(path: Path) -> None:
     def opencv():
         return cv2.imread(str(path)), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
 
-    ways = {"sfmkit.read_image": lambda: read_image(path), "Pillow + cvtColor": pillow, "cv2.imread, twice": opencv}
+    ways = {
+        "sfmkit.read_image": lambda: read_image(path),
+        "Pillow + cvtColor": pillow,
+        "cv2.imread, twice": opencv,
+    }
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(ROUNDS):
         for name, read in ways.items():

@@ -15,12 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sfmkit import reconstruct
-from sfmkit.cameras import parse_intrinsics
 from sfmkit.datasets.synthetic import demo_pair
-from sfmkit.images import read_image
-from sfmkit.inspection import point_origin
-from sfmkit.viz.recording import read_recording
-from sfmkit.viz.rerun import save_recording
+from sfmkit.io.cameras import parse_intrinsics
+from sfmkit.io.images import read_image
+from sfmkit.recording.inspection import point_origin
+from sfmkit.recording.log import save_recording
+from sfmkit.recording.read import read_recording
 
 
 def median_s(work: Callable[[], object]) -> float:

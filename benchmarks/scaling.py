@@ -4,9 +4,10 @@
     python benchmarks/scaling.py overhead               what handing out one task costs, local and Dask
     python benchmarks/scaling.py simulate [--plot docs/images/ablation-scaling.png]
 
-The model is a closed network of three stations. Workers take turns at the scheduler, which serves one at a time for as
-long as a task costs it; fetch their task's arrays through a store of limited total bandwidth, shared in the order of
-arrival; and compute for a time drawn from the records. Throughput is counted after the start has settled.
+The model is a closed network of three stations. Workers take turns at the scheduler, which serves
+one at a time for as long as a task costs it; fetch their task's arrays through a store of limited
+total bandwidth, shared in the order of arrival; and compute for a time drawn from the records.
+Throughput is counted after the start has settled.
 """
 
 from __future__ import annotations
@@ -50,10 +51,12 @@ class Layout:
 
 
 def as_run(pair: dict) -> list[Task]:
-    """Detections, matchings and units of estimates as tasks of their own; arrays through the shared cache."""
+    """Detections, matchings and units of estimates as tasks of their own; arrays through the shared
+    cache."""
     features = [(s, mb) for s, mb in zip(pair["detect"], pair["detect_mb"])]
     matches = [
-        (s, 2 * sum(pair["detect_mb"]) / len(pair["detect"]) + mb) for s, mb in zip(pair["match"], pair["match_mb"])
+        (s, 2 * sum(pair["detect_mb"]) / len(pair["detect"]) + mb)
+        for s, mb in zip(pair["match"], pair["match_mb"])
     ]
     unit_mb = sum(pair["detect_mb"]) + sum(pair["match_mb"])
     return [*features, *matches, *((s, unit_mb) for s in pair["estimate"])]
@@ -91,8 +94,16 @@ def throughput(workers: int, layout: Layout, pairs: list[dict], rng: random.Rand
         heapq.heappush(asks, (ready + seconds, k))
         ends.append(ready + seconds)
     ends.sort()
-    last = count - workers  # from here on the end of the experiment shows: workers that ask find nothing to do
-    return (last - settle) / (ends[last - 1] - ends[settle - 1]) / per_pair * layout.pairs_a_task * 3600
+    last = (
+        count - workers
+    )  # from here on the end of the experiment shows: workers that ask find nothing to do
+    return (
+        (last - settle)
+        / (ends[last - 1] - ends[settle - 1])
+        / per_pair
+        * layout.pairs_a_task
+        * 3600
+    )
 
 
 def simulate(args: argparse.Namespace) -> None:
@@ -109,16 +120,23 @@ def simulate(args: argparse.Namespace) -> None:
     ]
     work = statistics.mean(one_task(p)[0][0] for p in pairs)
     mb = statistics.mean(one_task(p)[0][1] for p in pairs)
-    print(f"{len(pairs)} recorded pairs: {work:.1f} s of one core, {mb:.0f} MB, {each:.0f} tasks a pair")
+    print(
+        f"{len(pairs)} recorded pairs: {work:.1f} s of one core, {mb:.0f} MB, {each:.0f} tasks a pair"
+    )
     print(
         f"a task through Dask {1e3 * task_s:.1f} ms, a pair's rows {1e3 * pair_s:.1f} ms of the one who hands out work\n"
     )
-    print("| workers | " + " | ".join(x.name for x in layouts) + " |\n|---:|" + "---:|" * len(layouts))
+    print(
+        "| workers | " + " | ".join(x.name for x in layouts) + " |\n|---:|" + "---:|" * len(layouts)
+    )
     curves: dict[str, list[float]] = {x.name: [] for x in layouts}
     for w in WORKERS:
         for x in layouts:
             curves[x.name].append(throughput(w, x, pairs, random.Random(rng.random())))
-        print(f"| {w:,} | " + " | ".join(f"{curves[x.name][-1]:,.0f}" for x in layouts) + " |", flush=True)
+        print(
+            f"| {w:,} | " + " | ".join(f"{curves[x.name][-1]:,.0f}" for x in layouts) + " |",
+            flush=True,
+        )
     print("\nhalf of what the workers could do, at about:")
     for x in layouts:
         ideal = [w * 3600 / work for w in WORKERS]
@@ -156,7 +174,8 @@ def plot(curves: dict[str, list[float]], work: float, file: Path) -> None:
 
 
 def record(args: argparse.Namespace) -> None:
-    """Task times (processor time) and sizes of the pairs of a sweep, finished or not, from its cache."""
+    """Task times (processor time) and sizes of the pairs of a sweep, finished or not, from its
+    cache."""
     from sfmkit.ablation.cache import Cache
     from sfmkit.ablation.folder import read_sweep
     from sfmkit.ablation.plan import make_plan
@@ -165,7 +184,10 @@ def record(args: argparse.Namespace) -> None:
     cache, sweep = Cache(args.cache), read_sweep(args.sweep)
     names = ",".join(dict.fromkeys(p["dataset"] for p in sweep["pairs"]))
     plan = make_plan(
-        names, sweep["operators"], combos=["/".join(c) for c in sweep["combinations"]], seeds=sweep["seeds"]
+        names,
+        sweep["operators"],
+        combos=["/".join(c) for c in sweep["combinations"]],
+        seeds=sweep["seeds"],
     )
     units: dict[int, list[EstimateTask]] = {}
     for unit in plan.units:
@@ -178,29 +200,36 @@ def record(args: argparse.Namespace) -> None:
         if not all(entry is not None for unit in estimates for entry in unit):
             continue
         sides = {
-            kind: [(cache.get(kind, key), cache.path(kind, key).stat().st_size / 1e6) for key in keys]
+            kind: [
+                (cache.get(kind, key), cache.path(kind, key).stat().st_size / 1e6) for key in keys
+            ]
             for kind, keys in (("features", detections), ("matches", matches))
-        }  # fmt: skip
+        }
         # Fusing is counted once for all seeds of a combination.
         spent = [
-            sum(e.meta["seconds"]["estimate"] for e in unit) + sum({id(j): e.meta["seconds"]["fuse"] for j, e in zip(task.jobs, unit)}.values()) / plan.seeds
+            sum(e.meta["seconds"]["estimate"] for e in unit)
+            + sum({id(j): e.meta["seconds"]["fuse"] for j, e in zip(task.jobs, unit)}.values())
+            / plan.seeds
             for task, unit in zip(mine, estimates)
-        ]  # fmt: skip
-        found.append({
-            "pair": str(plan.pairs[index]),
-            "detect": [round(e.meta["seconds"], 4) for e, _ in sides["features"]],
-            "detect_mb": [round(mb, 3) for _, mb in sides["features"]],
-            "match": [round(e.meta["seconds"], 4) for e, _ in sides["matches"]],
-            "match_mb": [round(mb, 3) for _, mb in sides["matches"]],
-            "estimate": [round(s, 3) for s in spent],
-        })  # fmt: skip
+        ]
+        found.append(
+            {
+                "pair": str(plan.pairs[index]),
+                "detect": [round(e.meta["seconds"], 4) for e, _ in sides["features"]],
+                "detect_mb": [round(mb, 3) for _, mb in sides["features"]],
+                "match": [round(e.meta["seconds"], 4) for e, _ in sides["matches"]],
+                "match_mb": [round(mb, 3) for _, mb in sides["matches"]],
+                "estimate": [round(s, 3) for s in spent],
+            }
+        )
     old = json.loads(TIMES.read_text()) if TIMES.exists() else {"overhead_s": {}}
     TIMES.write_text(json.dumps(old | {"pairs": found}) + "\n")
     print(f"{len(found)} pairs in {TIMES}")
 
 
 def overhead(args: argparse.Namespace) -> None:
-    """Processor time of the one who hands out work: a task through Dask, and a pair's planning, rows and shards."""
+    """Processor time of the one who hands out work: a task through Dask, and a pair's planning,
+    rows and shards."""
     from distributed import LocalCluster
 
     from sfmkit.ablation.cluster import DaskEngine
@@ -211,8 +240,11 @@ def overhead(args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder:
         pair = next(iter(pairs_of_planes()))
         task = next(iter(make_plan([pair], ["orb"], images=Path(folder)).detections.values()))
-        # The scheduler runs in this process, so its time is in ours. The task is in the cache after the first time.
-        with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        # The scheduler runs in this process, so its time is in ours. The task is in the cache after
+        # the first time.
+        with LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster:
             engine = DaskEngine(cluster.scheduler_address, Setup(engine_version(), folder))
             for _ in range(20):
                 engine.submit(task, Parcel())
@@ -236,17 +268,29 @@ def pairs_of_planes() -> list:
 
 
 def coordinator() -> float:
-    """Seconds a pair that planning, scheduling, building rows and writing shards take, with instant workers."""
+    """Seconds a pair that planning, scheduling, building rows and writing shards take, with instant
+    workers."""
     from sfmkit.ablation import run
     from sfmkit.ablation.tasks import EstimateTask
     from sfmkit.ablation.worker import Outcome
 
     found = pairs_of_planes()
     estimate = {
-        "keypoints": [9, 9], "matches": 9, "correspondences": 9, "inliers": 9, "guided": 9, "verdict": "planar", "reason": "",
-        "H": [1.0, 0, 0, 0, 1, 0, 0, 0, 1], "R": None, "t": None, "peak_mb": 1.0, "versions": {}, "machine": "",
+        "keypoints": [9, 9],
+        "matches": 9,
+        "correspondences": 9,
+        "inliers": 9,
+        "guided": 9,
+        "verdict": "planar",
+        "reason": "",
+        "H": [1.0, 0, 0, 0, 1, 0, 0, 0, 1],
+        "R": None,
+        "t": None,
+        "peak_mb": 1.0,
+        "versions": {},
+        "machine": "",
         "seconds": {"detect": 1.0, "match": 1.0, "fuse": 1.0, "estimate": 1.0},
-    }  # fmt: skip
+    }
 
     class Instant:
         shares_files, slots = True, 2
@@ -268,7 +312,9 @@ def coordinator() -> float:
     try:
         with tempfile.TemporaryDirectory() as folder:
             began = time.process_time()
-            run.ablate(found, ["surf", "orb", "fast-brief", "sift", "akaze"], seeds=3, cache=Path(folder))
+            run.ablate(
+                found, ["surf", "orb", "fast-brief", "sift", "akaze"], seeds=3, cache=Path(folder)
+            )
             return (time.process_time() - began) / len(found)
     finally:
         run.LocalEngine = before  # type: ignore[misc]

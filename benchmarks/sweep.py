@@ -1,11 +1,13 @@
-"""Pose errors of robust estimators on made-up scenes, one difficulty at a time, on the very same matches.
+"""Pose errors of robust estimators on made-up scenes, one difficulty at a time, on the very same
+matches.
 
     python benchmarks/sweep.py [--trials 20] [--workers 2] [--out docs/images/sweep.png]
 
-Around a base case (500 matches, noise 0.5 px, 30 % of them wrong, baseline 0.2 of the mean depth, sideways, no plane, 60
-degrees wide), one factor at a time is swept. The error is the larger of rotation and translation error; above 5 degrees,
-or without a model, a trial has failed. Every estimator gets the same matches, threshold (1 px), confidence (0.9999) and
-most samples (10,000), and nothing else; ours neither distance ratios nor operators. Writes the plot, prints Markdown.
+Around a base case (500 matches, noise 0.5 px, 30 % of them wrong, baseline 0.2 of the mean depth,
+sideways, no plane, 60 degrees wide), one factor at a time is swept. The error is the larger of
+rotation and translation error; above 5 degrees, or without a model, a trial has failed. Every
+estimator gets the same matches, threshold (1 px), confidence (0.9999) and most samples (10,000),
+and nothing else; ours neither distance ratios nor operators. Writes the plot, prints Markdown.
 """
 
 from __future__ import annotations
@@ -69,7 +71,8 @@ FACTORS = (
     Factor("off_axis_deg", "motion off the optical axis (°)", (0.0, 10.0, 30.0, 60.0, 90.0)),
     Factor("fov_deg", "field of view (°)", (20.0, 40.0, 60.0, 80.0, 100.0)),
 )
-# Okabe & Ito's colours, with a marker and a dash each, so that no estimator rests on its colour alone.
+# Okabe & Ito's colours, with a marker and a dash each, so that no estimator rests on its colour
+# alone.
 STYLES = {
     "sfmkit": ("#D55E00", "o", "-"),
     "cv2 USAC_MAGSAC": ("#0072B2", "s", "--"),
@@ -88,7 +91,8 @@ class Matches:
 
 
 def make_matches(case: Case, seed: int) -> Matches:
-    """Camera 2 looks where camera 1 looks, at depth 1, give or take a few degrees; points are seen by both."""
+    """Camera 2 looks where camera 1 looks, at depth 1, give or take a few degrees; points are seen
+    by both."""
     rng = np.random.default_rng(seed)
     f = WIDTH / 2 / math.tan(math.radians(case.fov_deg) / 2)
     K = np.array([[f, 0, (WIDTH - 1) / 2], [0, f, (HEIGHT - 1) / 2], [0, 0, 1]])
@@ -101,7 +105,12 @@ def make_matches(case: Case, seed: int) -> Matches:
     on_plane = round(case.planar * right)
     x1, x2 = (
         np.concatenate(x)
-        for x in zip(*(_seen(rng, K, R, centre, n, p) for n, p in ((on_plane, True), (right - on_plane, False))))
+        for x in zip(
+            *(
+                _seen(rng, K, R, centre, n, p)
+                for n, p in ((on_plane, True), (right - on_plane, False))
+            )
+        )
     )
     noisy = [x + rng.normal(0, case.noise_px, x.shape) for x in (x1, x2)]
     wrong = (rng.uniform(0, (WIDTH, HEIGHT), (case.matches - right, 2)) for _ in range(2))
@@ -152,7 +161,8 @@ def estimators() -> dict[str, Callable[..., RobustModel]]:
 
 
 def pose_error(fit: RobustModel, m: Matches) -> float:
-    """Degrees; 180 without a model. The pose of the four is chosen by the inliers in front, alike for everyone."""
+    """Degrees; 180 without a model. The pose of the four is chosen by the inliers in front, alike
+    for everyone."""
     if fit.model is None or not bool(fit.inliers.any()):
         return 180.0
     xn1, xn2 = normalize(m.x1[fit.inliers], m.K), normalize(m.x2[fit.inliers], m.K)
@@ -183,7 +193,8 @@ def sweep(trials: int, workers: int) -> dict[Case, dict[str, np.ndarray]]:
 
 
 def whole_errors(case: Case, trials: int) -> np.ndarray:
-    """Errors of the library's default, which refines the estimate and asks whether the scene is a plane."""
+    """Errors of the library's default, which refines the estimate and asks whether the scene is a
+    plane."""
     torch.set_num_threads(1)
     errors = []
     for seed in range(trials):
@@ -191,13 +202,17 @@ def whole_errors(case: Case, trials: int) -> np.ndarray:
         n = len(m.x1)
         row, unknown = torch.arange(n), torch.full((n,), torch.nan, dtype=torch.float64)
         counts = {"made up": OperatorCounts((n, n), n)}
-        corr = Correspondences(m.x1, m.x2, unknown, unknown, 0 * row, 0 * row + 1, row, row, ("made up",), counts)
+        corr = Correspondences(
+            m.x1, m.x2, unknown, unknown, 0 * row, 0 * row + 1, row, row, ("made up",), counts
+        )
         camera = Camera(m.K.numpy(), (WIDTH, HEIGHT))
         view = estimate_two_view(corr, camera, camera, seed=seed)
         if view.R is None or view.t is None:
             errors.append(180.0)
         else:
-            errors.append(float(torch.maximum(rotation_error(view.R, m.R), translation_error(view.t, m.t))))
+            errors.append(
+                float(torch.maximum(rotation_error(view.R, m.R), translation_error(view.t, m.t)))
+            )
     return np.array(errors)
 
 
@@ -206,7 +221,9 @@ def failure_rate(errors: np.ndarray) -> float:
 
 
 def plot(results: dict[Case, dict[str, np.ndarray]], path: Path) -> None:
-    figure, axes = plt.subplots(2, len(FACTORS), figsize=(16, 6), sharey="row", layout="constrained")
+    figure, axes = plt.subplots(
+        2, len(FACTORS), figsize=(16, 6), sharey="row", layout="constrained"
+    )
     for column, factor in zip(axes.T, FACTORS):
         cases = cases_of(factor)
         x = np.array(factor.values) * (100 if factor.percent else 1)
@@ -222,7 +239,10 @@ def plot(results: dict[Case, dict[str, np.ndarray]], path: Path) -> None:
             column[1].plot(x, [failure_rate(results[c][name]) for c in cases], **style)
         for axis in column:
             axis.axvline(
-                getattr(Case(), factor.field) * (100 if factor.percent else 1), color="0.85", linewidth=5, zorder=0
+                getattr(Case(), factor.field) * (100 if factor.percent else 1),
+                color="0.85",
+                linewidth=5,
+                zorder=0,
             )
             axis.grid(alpha=0.25)
             if factor.log:
@@ -234,23 +254,35 @@ def plot(results: dict[Case, dict[str, np.ndarray]], path: Path) -> None:
         column[1].set_ylim(-4, 104)
     axes[0, 0].set_ylabel("median pose error (°)")
     axes[1, 0].set_ylabel(f"failures, error > {FAILED_DEG:g}° (%)")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(STYLES), frameon=False)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=len(STYLES),
+        frameon=False,
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
 
 def table(results: dict[Case, dict[str, np.ndarray]]) -> str:
-    lines = ["| factor | value | " + " | ".join(STYLES) + " |", "|---|---:|" + "---:|" * len(STYLES)]
+    lines = [
+        "| factor | value | " + " | ".join(STYLES) + " |",
+        "|---|---:|" + "---:|" * len(STYLES),
+    ]
     for factor in FACTORS:
         for value, case in zip(factor.values, cases_of(factor)):
-            cells = [f"{np.median(e):.3f}° / {failure_rate(e):.0f} %" for e in results[case].values()]
+            cells = [
+                f"{np.median(e):.3f}° / {failure_rate(e):.0f} %" for e in results[case].values()
+            ]
             shown = 100 * value if factor.percent else value
             lines.append(f"| {factor.label} | {shown:g} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2, help="processes; each uses one thread")
     parser.add_argument("--out", type=Path, default=Path("docs/images/sweep.png"))
@@ -258,10 +290,16 @@ def main() -> None:
     results = sweep(args.trials, args.workers)
     plot(results, args.out)
     print(table(results))
-    hard = {"a plane alone": {"planar": 1.0}, "forward": {"off_axis_deg": 0.0}, "baseline 0.01": {"baseline": 0.01}}
+    hard = {
+        "a plane alone": {"planar": 1.0},
+        "forward": {"off_axis_deg": 0.0},
+        "baseline 0.01": {"baseline": 0.01},
+    }
     hard |= {"80 % wrong": {"outliers": 0.8}}
     with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
-        found = pool.map(whole_errors, [replace(Case(), **h) for h in hard.values()], [args.trials] * len(hard))  # type: ignore[arg-type]
+        found = pool.map(
+            whole_errors, [replace(Case(), **h) for h in hard.values()], [args.trials] * len(hard)
+        )  # type: ignore[arg-type]
     print("\nThe whole default, estimate_two_view:")
     for name, errors in zip(hard, found):
         print(f"* {name}: {np.median(errors):.3f}° / {failure_rate(errors):.0f} %")

@@ -1,4 +1,5 @@
-"""The documentation site: `make docs` builds it into out/docs, off-line, and any warning fails it."""
+"""The documentation site: `make docs` builds it into out/docs, off-line, and any warning fails
+it."""
 
 import re
 from pathlib import Path
@@ -31,7 +32,8 @@ html_show_copyright = False
 myst_enable_extensions = ["amsmath", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# They are stored without outputs, and run anew for every site: a cache would not notice that the library has changed.
+# They are stored without outputs, and run anew for every site: a cache would not notice that the
+# library has changed.
 nb_execution_mode = "force"
 nb_execution_timeout = 180
 nb_execution_raise_on_error = True
@@ -59,15 +61,23 @@ add_module_names = False
 
 
 def _plain(app, what, name, obj, options, lines: list[str]) -> None:
-    """Docstrings use no emphasis and no substitutions: their stars and bars are mathematics, as in (*B, N, 2) or |t|."""
+    """Docstrings use no emphasis and no substitutions: their stars and bars are mathematics, as in
+    (*B, N, 2) or |t|."""
     for i, line in enumerate(lines):
         parts = re.split(r"(``.*?``)", line)
-        lines[i] = "".join(p if p.startswith("``") else re.sub(r"([*|])", r"\\\1", p) for p in parts)
+        lines[i] = "".join(
+            p if p.startswith("``") else re.sub(r"([*|])", r"\\\1", p) for p in parts
+        )
 
 
 def _skip(app, what, name, obj, skip, options) -> bool | None:
-    """The function `sfmkit.datasets.pairs` has the name of a module, and a site cannot describe both."""
-    return True if getattr(obj, "__qualname__", "") == "pairs" and obj.__module__ == "sfmkit.datasets" else None
+    """The function `sfmkit.datasets.pair` has the name of a module, and a site cannot describe
+    both."""
+    return (
+        True
+        if getattr(obj, "__qualname__", "") == "pairs" and obj.__module__ == "sfmkit.datasets"
+        else None
+    )
 
 
 def setup(app) -> None:

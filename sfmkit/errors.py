@@ -30,7 +30,9 @@ class OperatorError(InputError):
         known = sorted(known)
         near = get_close_matches(name, known, n=1, cutoff=0.5)
         hint = f" Did you mean '{near[0]}'?" if near else ""
-        return cls(f"unknown operator '{name}'.{hint} Known: {', '.join(known)}; or detector+descriptor.")
+        return cls(
+            f"unknown operator '{name}'.{hint} Known: {', '.join(known)}; or detector+descriptor."
+        )
 
 
 class OutputError(SfmError):
@@ -41,7 +43,8 @@ class DegenerateGeometryError(SfmError):
     """The correspondences do not determine the model asked for.
 
     Attributes:
-        counts: what was there and what would have been needed, e.g. ``{"matches": 4, "needed": 5}``.
+        counts: what was there and what would have been needed, e.g.
+            ``{"matches": 4, "needed": 5}``.
     """
 
     def __init__(self, message: str, **counts: int):

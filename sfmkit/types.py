@@ -1,10 +1,11 @@
 """The data that flows: ``image -> Features -> Correspondences -> TwoView -> PointCloud``.
 
-Every type is frozen and checks itself when it is made, so that a later stage, or a notebook cell that is run out of
-order, can rely on it. The messages name the field, the shape it needs and what came instead.
+Every type is frozen and checks itself when it is made, so that a later stage, or a notebook cell
+that is run out of order, can rely on it. The messages name the field, the shape it needs and what
+came instead.
 
-Arrays up to :class:`Features` are NumPy (OpenCV's side); from :class:`Correspondences` on they are torch tensors in
-float64, on the CPU unless said otherwise.
+Arrays up to :class:`Features` are NumPy (OpenCV's side); from :class:`Correspondences` on they are
+torch tensors in float64, on the CPU unless said otherwise.
 """
 
 from __future__ import annotations
@@ -26,11 +27,19 @@ Norm = Literal["l2", "hamming"]
 MAX_OPERATORS = 62  # an operator is one bit of an int64 mask
 
 
-def _check_array(owner: str, name: str, a: Any, shape: tuple[int | None, ...], kinds: str, finite: bool = True) -> None:
-    """Raise InputError unless `a` is an array of `shape` (None: any length) whose dtype kind is one of `kinds`."""
+def _check_array(
+    owner: str, name: str, a: Any, shape: tuple[int | None, ...], kinds: str, finite: bool = True
+) -> None:
+    """Raise InputError unless `a` is an array of `shape` (None: any length) whose dtype kind is one
+    of `kinds`."""
     if not isinstance(a, np.ndarray):
         raise InputError(f"{owner}.{name} must be a NumPy array, not {type(a).__name__}")
-    want = "(" + ", ".join("N" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+    want = (
+        "("
+        + ", ".join("N" if s is None else str(s) for s in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
+    )
     if a.ndim != len(shape) or any(s is not None and s != n for s, n in zip(shape, a.shape)):
         raise InputError(f"{owner}.{name} must have shape {want}, not {a.shape}")
     if a.dtype.kind not in kinds:
@@ -39,12 +48,19 @@ def _check_array(owner: str, name: str, a: Any, shape: tuple[int | None, ...], k
         raise InputError(f"{owner}.{name} holds NaN or infinite values")
 
 
-def _check_tensor(owner: str, name: str, a: Any, shape: tuple[int | None, ...], dtype: torch.dtype) -> None:
+def _check_tensor(
+    owner: str, name: str, a: Any, shape: tuple[int | None, ...], dtype: torch.dtype
+) -> None:
     """Raise InputError unless `a` is a tensor of `shape` (None: any length) and `dtype`."""
     if not isinstance(a, Tensor):
         raise InputError(f"{owner}.{name} must be a torch tensor, not {type(a).__name__}")
     if a.ndim != len(shape) or any(s is not None and s != n for s, n in zip(shape, a.shape)):
-        want = "(" + ", ".join("N" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+        want = (
+            "("
+            + ", ".join("N" if s is None else str(s) for s in shape)
+            + ("," if len(shape) == 1 else "")
+            + ")"
+        )
         raise InputError(f"{owner}.{name} must have shape {want}, not {tuple(a.shape)}")
     if a.dtype != dtype:
         raise InputError(f"{owner}.{name} must be {dtype}, not {a.dtype}")
@@ -55,7 +71,8 @@ class Camera:
     """A pinhole camera with radial-tangential distortion.
 
     Attributes:
-        K: (3, 3) float64 intrinsics in pixels; ``K[2] == (0, 0, 1)``. The centre of the top-left pixel is (0, 0).
+        K: (3, 3) float64 intrinsics in pixels; ``K[2] == (0, 0, 1)``. The centre of the top-left
+            pixel is (0, 0).
         size_wh: width and height in pixels of the image that K is for.
         distortion: (5,) float64 ``k1, k2, p1, p2, k3`` (OpenCV's order; Brown 1966), zero for none.
         source: where the focal length came from: ``given``, ``exif: ...`` or ``guessed``.
@@ -80,7 +97,9 @@ class Camera:
                 f"Camera.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; its last row is {K[2].tolist()}"
             )
         if K[0, 0] <= 0 or K[1, 1] <= 0:
-            raise CameraError(f"Camera.K has focal lengths {K[0, 0]:g}, {K[1, 1]:g}; both must be positive (pixels)")
+            raise CameraError(
+                f"Camera.K has focal lengths {K[0, 0]:g}, {K[1, 1]:g}; both must be positive (pixels)"
+            )
         w, h = (int(v) for v in self.size_wh)
         if w < 1 or h < 1:
             raise CameraError(f"Camera.size_wh must be positive, not {self.size_wh}")
@@ -106,7 +125,8 @@ class Camera:
         return bool(np.any(self.distortion))
 
     def scaled(self, size_wh: tuple[int, int]) -> Camera:
-        """The same camera for the image resized to `size_wh` pixels (pixel centres at integers: c' = (c + ½) s - ½)."""
+        """The same camera for the image resized to `size_wh` pixels (pixel centres at integers: c'
+        = (c + ½) s - ½)."""
         s = np.array(size_wh, dtype=np.float64) / self.size_wh
         K = self.K.copy()
         K[0, :2] *= s[0]
@@ -125,16 +145,19 @@ class Features:
     """What one operator found in one image.
 
     Attributes:
-        keypoints: (N, 2) float32 pixels of the full-size image, x right, y down, centre of the top-left pixel (0, 0).
+        keypoints: (N, 2) float32 pixels of the full-size image, x right, y down, centre of the
+            top-left pixel (0, 0).
         scales: (N,) float32 diameter of the described neighbourhood, pixels.
-        angles: (N,) float32 orientation in radians, from x towards y (clockwise on screen); 0 for upright operators.
-        scores: (N,) float32 the detector's response; larger is stronger, comparable within one operator only.
+        angles: (N,) float32 orientation in radians, from x towards y (clockwise on screen); 0 for
+            upright operators.
+        scores: (N,) float32 the detector's response; larger is stronger, comparable within one
+            operator only.
         descriptors: (N, D) float32, or (N, bytes) uint8 of packed bits.
         norm: how descriptors are compared: ``l2`` or ``hamming``.
         operator: the operator's name.
         size_wh: size of the image in pixels.
-        laplacian: (N,) int8 sign of the Laplacian (+1 dark blob on light, -1 light on dark) where the operator knows
-            it (SURF), else None. Features of different sign cannot match.
+        laplacian: (N,) int8 sign of the Laplacian (+1 dark blob on light, -1 light on dark) where
+            the operator knows it (SURF), else None. Features of different sign cannot match.
     """
 
     keypoints: np.ndarray
@@ -154,9 +177,17 @@ class Features:
             _check_array("Features", name, getattr(self, name), (n,), "f")
         if self.norm not in ("l2", "hamming"):
             raise InputError(f"Features.norm must be 'l2' or 'hamming', not {self.norm!r}")
-        _check_array("Features", "descriptors", self.descriptors, (n, None), "f" if self.norm == "l2" else "u")
+        _check_array(
+            "Features",
+            "descriptors",
+            self.descriptors,
+            (n, None),
+            "f" if self.norm == "l2" else "u",
+        )
         if self.norm == "hamming" and self.descriptors.dtype != np.uint8:
-            raise InputError(f"Features.descriptors of norm hamming must be uint8, not {self.descriptors.dtype}")
+            raise InputError(
+                f"Features.descriptors of norm hamming must be uint8, not {self.descriptors.dtype}"
+            )
         if self.laplacian is not None:
             _check_array("Features", "laplacian", self.laplacian, (n,), "i")
 
@@ -173,7 +204,9 @@ class Features:
         """The features at `index` (integers or a mask), in that order."""
         rows = ("keypoints", "scales", "angles", "scores", "descriptors")
         taken = {name: getattr(self, name)[index] for name in rows}
-        return replace(self, **taken, laplacian=None if self.laplacian is None else self.laplacian[index])
+        return replace(
+            self, **taken, laplacian=None if self.laplacian is None else self.laplacian[index]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +216,8 @@ class Matches:
     Attributes:
         index1, index2: (M,) int64 rows of the two Features.
         distance: (M,) float32 descriptor distance (L2, or number of differing bits).
-        ratio: (M,) float32 distance over the distance to the second-nearest neighbour in image 2 (in [0, 1]; NaN where it
-            was not asked for).
+        ratio: (M,) float32 distance over the distance to the second-nearest neighbour in image 2
+            (in [0, 1]; NaN where it was not asked for).
     """
 
     index1: np.ndarray
@@ -210,7 +243,8 @@ class OperatorCounts:
     Attributes:
         keypoints: found in image 1 and image 2.
         matches: after the operator's own matching.
-        merged: of those, how many were merged into a coincident correspondence of another keypoint or operator.
+        merged: of those, how many were merged into a coincident correspondence of another keypoint
+            or operator.
     """
 
     keypoints: tuple[int, int]
@@ -226,7 +260,8 @@ class Correspondences:
         x1, x2: (N, 2) float64 pixels in image 1 and image 2.
         distance: (N,) float64 descriptor distance, comparable within one operator only.
         ratio: (N,) float64 distance over second-best distance, NaN where unknown.
-        operator_id: (N,) int64 into `operators`; of a merged correspondence, the operator whose position was kept.
+        operator_id: (N,) int64 into `operators`; of a merged correspondence, the operator whose
+            position was kept.
         operator_mask: (N,) int64; bit k is set when `operators[k]` found this correspondence.
         index1, index2: (N,) int64 rows of the Features of `operator_id`.
         operators: names; bit and id k is `operators[k]`.
@@ -255,8 +290,12 @@ class Correspondences:
         if not (torch.isfinite(self.x1).all() and torch.isfinite(self.x2).all()):
             raise InputError("Correspondences.x1 and x2 must be finite")
         if len(self.operators) > MAX_OPERATORS:
-            raise InputError(f"at most {MAX_OPERATORS} operators fit one set, not {len(self.operators)}")
-        if n and not (int(self.operator_id.min()) >= 0 and int(self.operator_id.max()) < len(self.operators)):
+            raise InputError(
+                f"at most {MAX_OPERATORS} operators fit one set, not {len(self.operators)}"
+            )
+        if n and not (
+            int(self.operator_id.min()) >= 0 and int(self.operator_id.max()) < len(self.operators)
+        ):
             raise InputError("Correspondences.operator_id points outside Correspondences.operators")
         if n and not bool(((self.operator_mask >> self.operator_id) & 1).all()):
             raise InputError("Correspondences.operator_mask must hold the bit of operator_id")
@@ -274,7 +313,8 @@ class Correspondences:
         return ((self.operator_mask >> self.operators.index(operator)) & 1).bool()
 
     def take(self, index: Tensor) -> Correspondences:
-        """The correspondences at `index` (integers or a mask), in that order; the counts are kept."""
+        """The correspondences at `index` (integers or a mask), in that order; the counts are
+        kept."""
         rows = ("x1", "x2", "distance", "ratio", "operator_id", "operator_mask", "index1", "index2")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
@@ -319,13 +359,17 @@ class TwoView:
         evidence: the numbers the verdict rests on.
         R: (3, 3) rotation, None without a trustworthy one.
         t: (3,) unit translation, None where unknown (pure rotation) or untrustworthy.
-        E, F, H: (3, 3) essential, fundamental (pixels), homography (pixels) where estimated, else None.
-        pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on its tangent plane,
-            radians), None where not computed.
-        sigma_deg: standard deviation of rotation and translation direction, degrees, from `pose_covariance`.
-        alternatives: other poses (R, t) that explain the matches as well: a plane seen twice usually allows two.
-        history: how the robust search improved, oldest first; empty where the back end does not say. Its models are E,
-            in normalised coordinates, or F, in pixels, whichever was estimated.
+        E, F, H: (3, 3) essential, fundamental (pixels), homography (pixels) where estimated, else
+            None.
+        pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on
+            its tangent plane, radians), None where not computed.
+        sigma_deg: standard deviation of rotation and translation direction, degrees, from
+            `pose_covariance`.
+        alternatives: other poses (R, t) that explain the matches as well: a plane seen twice
+            usually allows two.
+        history: how the robust search improved, oldest first; empty where the back end does not
+            say. Its models are E, in normalised coordinates, or F, in pixels, whichever was
+            estimated.
     """
 
     camera1: Camera

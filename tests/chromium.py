@@ -35,7 +35,11 @@ def _missing(what: str) -> None:
 @contextmanager
 def open_browser() -> Iterator:
     """A Playwright browser with a fresh profile."""
-    executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    executable = (
+        shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    )
     if executable is None:
         _missing("a chromium browser")
     try:
@@ -43,7 +47,9 @@ def open_browser() -> Iterator:
     except ImportError:
         _missing("playwright")
     with tempfile.TemporaryDirectory() as home, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=FLAGS, env={**os.environ, "HOME": home})
+        browser = playwright.chromium.launch(
+            executable_path=executable, args=FLAGS, env={**os.environ, "HOME": home}
+        )
         try:
             yield browser
         finally:

@@ -10,12 +10,15 @@ import pytest
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder of real photographs with ground truth, from SFMKIT_DATA; without it the test is skipped."""
+    """The folder of real photographs with ground truth, from SFMKIT_DATA; without it the test is
+    skipped."""
     folder = os.environ.get("SFMKIT_DATA")
     if not folder:
         if os.environ.get("CI"):
             pytest.fail("SFMKIT_DATA is not set; data-driven tests must not skip in CI")
-        pytest.skip("SFMKIT_DATA is not set: see data/README.md for the real photographs this test needs")
+        pytest.skip(
+            "SFMKIT_DATA is not set: see data/README.md for the real photographs this test needs"
+        )
     path = Path(folder).resolve()
     if not path.is_dir():
         pytest.fail(f"SFMKIT_DATA={folder} is not a folder")

@@ -1,16 +1,17 @@
-"""A reconstruction made of arrays alone, every number of which is known: for tests of what reads and draws results."""
+"""A reconstruction made of arrays alone, every number of which is known: for tests of what reads
+and draws results."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 
-from sfmkit.account import make_account
 from sfmkit.geometry.essential import essential_from_pose
 from sfmkit.geometry.fundamental import fundamental_from_essential
-from sfmkit.images import read_image
+from sfmkit.io.images import read_image
 from sfmkit.options import DEFAULT
-from sfmkit.pipeline import Reconstruction
+from sfmkit.pipeline.account import make_account
+from sfmkit.pipeline.reconstruction import Reconstruction
 from sfmkit.types import (
     Camera,
     Correspondences,
@@ -25,7 +26,11 @@ from sfmkit.types import (
 
 OPERATORS = ("surf", "orb", "fast-brief")
 SIZE = (320, 240)
-POINTS, OUTLIERS, LONELY = 300, 40, 50  # in the cloud; wrong matches; keypoints an operator without a match
+POINTS, OUTLIERS, LONELY = (
+    300,
+    40,
+    50,
+)  # in the cloud; wrong matches; keypoints an operator without a match
 
 
 def make_result(
@@ -38,11 +43,12 @@ def make_result(
     noise_px: float = 0.3,
     seed: int = 0,
 ) -> Reconstruction:
-    """Points in a box seen by two cameras, each found by one to three operators, and wrong matches among them.
+    """Points in a box seen by two cameras, each found by one to three operators, and wrong matches
+    among them.
 
-    Operator ``n % 3`` is the one kept for correspondence n; every fourth is also found by the next operator, whose
-    match was merged into it.
-    """  # fmt: skip
+    Operator ``n % 3`` is the one kept for correspondence n; every fourth is also found by the next
+    operator, whose match was merged into it.
+    """
     g = np.random.default_rng(seed)
     w, h = size_wh
     camera = Camera(np.array([[w, 0, w / 2 - 0.5], [0, w, h / 2 - 0.5], [0, 0, 1.0]]), size_wh)
@@ -69,10 +75,14 @@ def make_result(
         own, merged = np.flatnonzero(kept == k), np.flatnonzero((also == k) & (kept != k))
         index[own] = np.arange(len(own))
         rows = np.concatenate([own, merged])
-        offset = np.concatenate([np.zeros(len(own)), np.full(len(merged), 0.4)])[:, None]  # what a merged one is off by
+        offset = np.concatenate([np.zeros(len(own)), np.full(len(merged), 0.4)])[
+            :, None
+        ]  # what a merged one is off by
         pair = []
         for x in (x1, x2):
-            p = np.concatenate([x[rows] + offset, g.uniform(0, 1, (lonely, 2)) * (w - 1, h - 1)]).astype(np.float32)
+            p = np.concatenate(
+                [x[rows] + offset, g.uniform(0, 1, (lonely, 2)) * (w - 1, h - 1)]
+            ).astype(np.float32)
             m = len(p)
             pair.append(
                 Features(
@@ -88,7 +98,9 @@ def make_result(
             )
         features[name] = (pair[0], pair[1])
         both = np.arange(len(rows))
-        matches[name] = Matches(both, both, np.ones(len(rows), np.float32), np.full(len(rows), 0.7, np.float32))
+        matches[name] = Matches(
+            both, both, np.ones(len(rows), np.float32), np.full(len(rows), 0.7, np.float32)
+        )
         counts[name] = OperatorCounts((len(pair[0]), len(pair[1])), len(rows), len(merged))
 
     def tensor(v: np.ndarray, dtype: torch.dtype = torch.int64) -> torch.Tensor:
@@ -140,7 +152,9 @@ def make_result(
         covariance,
     )
     if image is None:
-        image = (g.uniform(0, 1, (h // 8, w // 8, 3)) * 255).astype(np.uint8).repeat(8, 0).repeat(8, 1)
+        image = (
+            (g.uniform(0, 1, (h // 8, w // 8, 3)) * 255).astype(np.uint8).repeat(8, 0).repeat(8, 1)
+        )
     return Reconstruction(
         images=(read_image(image), read_image(image)),
         features=features,

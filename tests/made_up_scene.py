@@ -22,7 +22,9 @@ class Scene:
     distance: Tensor
 
 
-def make_scene(n: int = 100, noise: float = 0.0, seed: int = 0, outliers: float = 0.0, planar: bool = False) -> Scene:
+def make_scene(
+    n: int = 100, noise: float = 0.0, seed: int = 0, outliers: float = 0.0, planar: bool = False
+) -> Scene:
     g = torch.Generator().manual_seed(seed)
 
     def rand(*shape: int) -> Tensor:
@@ -33,8 +35,12 @@ def make_scene(n: int = 100, noise: float = 0.0, seed: int = 0, outliers: float 
         X[:, 2] = 6 + 0.3 * X[:, 0] - 0.2 * X[:, 1]
     R = so3_exp(torch.tensor([0.1, -0.2, 0.05], dtype=torch.float64))
     t = torch.nn.functional.normalize(torch.tensor([1.0, 0.2, -0.1], dtype=torch.float64), dim=0)
-    K1 = torch.tensor([[800.0, 0.0, 320.0], [0.0, 810.0, 240.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    K2 = torch.tensor([[900.0, 1.0, 300.0], [0.0, 890.0, 250.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    K1 = torch.tensor(
+        [[800.0, 0.0, 320.0], [0.0, 810.0, 240.0], [0.0, 0.0, 1.0]], dtype=torch.float64
+    )
+    K2 = torch.tensor(
+        [[900.0, 1.0, 300.0], [0.0, 890.0, 250.0], [0.0, 0.0, 1.0]], dtype=torch.float64
+    )
 
     def seen(Y: Tensor, K: Tensor) -> Tensor:
         y = Y @ K.T

@@ -1,4 +1,5 @@
-"""A sweep small enough to run many times: crops of one noise texture, whose homography is a shift."""
+"""A sweep small enough to run many times: crops of one noise texture, whose homography is a
+shift."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ def texture(seed: int = 3) -> np.ndarray:
 
 
 def pairs(folder: Path, homographies: int = 2, two_views: int = 1) -> list[Pair]:
-    """Pairs of one first image and a shifted one each; the last ones have cameras and a pose in place of H."""
+    """Pairs of one first image and a shifted one each; the last ones have cameras and a pose in
+    place of H."""
     folder.mkdir(parents=True, exist_ok=True)
     whole, size = texture(), (WIDTH, HEIGHT)
     PIL.Image.fromarray(whole[40 : 40 + HEIGHT, 40 : 40 + WIDTH]).save(folder / "img1.png")
@@ -40,7 +42,12 @@ def pairs(folder: Path, homographies: int = 2, two_views: int = 1) -> list[Pair]
         truth: dict[str, Any] = {"H": np.array([[1.0, 0, -dx], [0, 1, -dy], [0, 0, 1]])}
         if k >= homographies:
             camera = Camera(np.array([[200.0, 0, 99.5], [0, 200, 79.5], [0, 0, 1]]), size)
-            truth = {"camera1": camera, "camera2": camera, "R": np.eye(3), "t": np.array([-dx, -dy, 0.0])}
+            truth = {
+                "camera1": camera,
+                "camera2": camera,
+                "R": np.eye(3),
+                "t": np.array([-dx, -dy, 0.0]),
+            }
         found.append(Pair("small", "noise", f"1-{k + 2}", folder / "img1.png", file, **truth))
     return found
 
@@ -70,11 +77,14 @@ class InlineEngine:
 
 
 def main() -> None:
-    """``python small_sweep.py FOLDER OUT CACHE WORKERS``: the sweep as a process that can be killed."""
+    """``python small_sweep.py FOLDER OUT CACHE WORKERS``: the sweep as a process that can be
+    killed."""
     from sfmkit.ablation import ablate
 
     folder, out, cache, workers = sys.argv[1:5]
-    table = ablate(pairs(Path(folder)), OPERATORS, seeds=2, out=out, cache=cache, workers=int(workers))
+    table = ablate(
+        pairs(Path(folder)), OPERATORS, seeds=2, out=out, cache=cache, workers=int(workers)
+    )
     assert len(table) == 42
 
 

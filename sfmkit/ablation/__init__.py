@@ -1,4 +1,5 @@
-"""Which operators help, where, and by how much: every combination on every pair, cached, resumable, local or on a cluster.
+"""Which operators help, where, and by how much: every combination on every pair, cached, resumable,
+local or on a cluster.
 
 >>> from sfmkit.ablation import ablate
 >>> table = ablate("planes", ["surf", "orb", "sift"], seeds=3, out="out/ablation")

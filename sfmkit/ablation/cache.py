@@ -1,8 +1,10 @@
-"""Results of stages on disk, by content: whoever needs the same thing made in the same way finds it.
+"""Results of stages on disk, by content: whoever needs the same thing made in the same way finds
+it.
 
-A key is the digest of everything that a result depends on (the image's bytes, the operator, its options, the version of
-the code), so an entry is never out of date, and two processes that write the same key write the same thing. Files appear
-whole by renaming; a reader needs no lock. The folder is bounded: what was used longest ago goes first.
+A key is the digest of everything that a result depends on (the image's bytes, the operator, its
+options, the version of the code), so an entry is never out of date, and two processes that write
+the same key write the same thing. Files appear whole by renaming; a reader needs no lock. The
+folder is bounded: what was used longest ago goes first.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ def cache_folder() -> Path:
     """``SFMKIT_CACHE``, or ``stages`` in the user's cache folder of sfmkit."""
     if os.environ.get(VARIABLE):
         return Path(os.environ[VARIABLE])
-    from ..datasets.pairs import download_folder
+    from ..datasets.pair import download_folder
 
     return download_folder() / "stages"
 
@@ -76,13 +78,16 @@ class Cache:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise OutputError(f"the cache file {path} cannot be read: {error.strerror or error}") from error
+            raise OutputError(
+                f"the cache file {path} cannot be read: {error.strerror or error}"
+            ) from error
         with suppress(OSError):
             os.utime(path)
         return data
 
     def get(self, kind: str, key: str, warn: Callable[[str], None] | None = None) -> Entry | None:
-        """The entry, or None where there is none. A damaged one is removed, said to `warn`, and counts as none."""
+        """The entry, or None where there is none. A damaged one is removed, said to `warn`, and
+        counts as none."""
         data = self.get_bytes(kind, key)
         if data is None:
             return None
@@ -158,7 +163,8 @@ class Cache:
         return n, damaged
 
     def tidy(self) -> int:
-        """Drop what was used longest ago until the rest fits, and what crashed writers left. Returns bytes freed."""
+        """Drop what was used longest ago until the rest fits, and what crashed writers left.
+        Returns bytes freed."""
         for file in self.folder.glob("*/*/.*.tmp"):
             with suppress(OSError):
                 if time.time() - file.stat().st_mtime > _LEFTOVER_S:

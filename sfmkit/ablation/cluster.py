@@ -33,8 +33,8 @@ class DaskEngine:
         setup: what the workers are told; with a cache they must see its folder.
 
     Raises:
-        InputError: dask is not installed, no scheduler answers within seconds, it has no workers, or these run another
-            version of sfmkit.
+        InputError: dask is not installed, no scheduler answers within seconds, it has no workers,
+            or these run another version of sfmkit.
     """
 
     def __init__(self, address: str, setup: Setup):
@@ -74,11 +74,15 @@ class DaskEngine:
         try:
             found = self._client.run(engine_version, on_error="return")
         except Exception as error:
-            raise InputError(f"the cluster's workers cannot be asked for their version: {error}") from None
+            raise InputError(
+                f"the cluster's workers cannot be asked for their version: {error}"
+            ) from None
         for worker, version in found.items():
             if version != self._setup.version:
                 what = (
-                    f"cannot import this sfmkit ({version!r})" if isinstance(version, Exception) else f"runs {version}"
+                    f"cannot import this sfmkit ({version!r})"
+                    if isinstance(version, Exception)
+                    else f"runs {version}"
                 )
                 raise InputError(
                     f"the worker {worker} {what}, here is {self._setup.version}; install the same version everywhere"
@@ -92,17 +96,27 @@ class DaskEngine:
         images = {key: self._share(key, data) for key, data in parcel.images.items()}
         inputs = {key: self._share(key, data) for key, data in parcel.inputs.items()}
         future = self._client.submit(
-            _perform, task, self._setup, images, inputs, key=f"{task.kind}-{task.key}-{next(self._number)}", pure=False
+            _perform,
+            task,
+            self._setup,
+            images,
+            inputs,
+            key=f"{task.kind}-{task.key}-{next(self._number)}",
+            pure=False,
         )
         self._running[future] = (task, parcel, attempt)
         future.add_done_callback(self._done.put)
 
     def _share(self, key: str, data: bytes) -> Any:
-        """The bytes in a worker's memory, from which the others fetch them; not through the scheduler."""
+        """The bytes in a worker's memory, from which the others fetch them; not through the
+        scheduler."""
         if key not in self._shared:
             try:
                 self._shared[key] = self._client.scatter(data, hash=False)
-            except (OSError, TimeoutError):  # that worker has just died: this once they go with the task
+            except (
+                OSError,
+                TimeoutError,
+            ):  # that worker has just died: this once they go with the task
                 self._alive()
                 return data
         self._shared.move_to_end(key)
@@ -120,10 +134,14 @@ class DaskEngine:
                 return task, future.result(timeout=CONNECT_S)
             except KilledWorker:
                 return task, died()
-            except Exception as error:  # scattered bytes were lost with a worker, or the cluster is gone
+            except (
+                Exception
+            ) as error:  # scattered bytes were lost with a worker, or the cluster is gone
                 self._alive()
                 if attempt == ATTEMPTS:
-                    return task, Outcome("failed", f"the cluster lost this task {ATTEMPTS} times: {error}")
+                    return task, Outcome(
+                        "failed", f"the cluster lost this task {ATTEMPTS} times: {error}"
+                    )
                 for key in (*parcel.images, *parcel.inputs):
                     self._shared.pop(key, None)
                 self.submit(task, parcel, attempt + 1)
@@ -157,15 +175,18 @@ class DaskEngine:
         return bool(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def close(self) -> None:
-        with suppress(TimeoutError):  # of a cluster that is gone; what ended the sweep is what must be told
+        with suppress(
+            TimeoutError
+        ):  # of a cluster that is gone; what ended the sweep is what must be told
             self._client.close(timeout=2)
 
 
 def _reach(address: str) -> None:
     """Raise whatever the transport does where no scheduler answers.
 
-    A Client that finds none leaves its thread behind, and deadlocks when it is collected while another one starts
-    (distributed 2026.8), so none is made before somebody answers. In a thread: a notebook has a loop of its own.
+    A Client that finds none leaves its thread behind, and deadlocks when it is collected while
+    another one starts (distributed 2026.8), so none is made before somebody answers. In a thread: a
+    notebook has a loop of its own.
     """
     from distributed.comm import connect
 
@@ -177,5 +198,7 @@ def _reach(address: str) -> None:
         thread.submit(lambda: asyncio.run(reach())).result()
 
 
-def _perform(task: Task, setup: Setup, images: dict[str, bytes], inputs: dict[str, bytes]) -> Outcome:
+def _perform(
+    task: Task, setup: Setup, images: dict[str, bytes], inputs: dict[str, bytes]
+) -> Outcome:
     return perform(task, setup, Parcel(images, inputs))

@@ -1,9 +1,11 @@
 """Where the work is done: processes of this machine, or a Dask cluster, behind one small interface.
 
-Local processes are our own few lines and not an executor of concurrent.futures or loky. Those break as a whole when one
-worker is killed: every task under way is lost, and none of them can be told from the one that brought it about. Here a
-worker that dies takes only its own task with it. They also start from a plain script or a notebook without a guarded
-``__main__``, and end by themselves when the parent is killed, because their input does.
+Local processes are our own few lines and not an executor of concurrent.futures or loky. Those break
+as a whole when one
+worker is killed: every task under way is lost, and none of them can be told from the one that
+brought it about. Here a worker that dies takes only its own task with it. They also start from a
+plain script or a notebook without a guarded ``__main__``, and end by themselves when the parent is
+killed, because their input does.
 """
 
 from __future__ import annotations
@@ -56,7 +58,9 @@ class LocalEngine:
         self._done: queue.SimpleQueue[tuple[Task, Outcome]] = queue.SimpleQueue()
         self._processes: list[subprocess.Popen | None] = [None] * workers
         self._closing = False
-        self._threads = [threading.Thread(target=self._serve, args=(k,), daemon=True) for k in range(workers)]
+        self._threads = [
+            threading.Thread(target=self._serve, args=(k,), daemon=True) for k in range(workers)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -86,7 +90,8 @@ class LocalEngine:
             thread.join(timeout=10)
 
     def _serve(self, k: int) -> None:
-        """One worker's side of the conversation; a dead one is replaced, and its task tried again."""
+        """One worker's side of the conversation; a dead one is replaced, and its task tried
+        again."""
         while (task := self._tasks.get()) is not None:
             outcome = None
             for _ in range(ATTEMPTS):
@@ -101,7 +106,9 @@ class LocalEngine:
                     self._stop(k)
                     if self._closing:
                         return
-                except Exception as error:  # neither task nor outcome could be told; nobody must wait for it
+                except (
+                    Exception
+                ) as error:  # neither task nor outcome could be told; nobody must wait for it
                     outcome = Outcome("failed", reason_of(error))
                     self._stop(k)
                     break
@@ -113,10 +120,11 @@ class LocalEngine:
         path = os.pathsep.join([str(root), *filter(None, [os.environ.get("PYTHONPATH")])])
         process = subprocess.Popen(
             [sys.executable, "-c", "from sfmkit.ablation.worker import main; main()"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
             start_new_session=True,  # Ctrl-C is for whoever gives the work
-        )  # fmt: skip
+        )
         self._processes[k] = process
         return process
 
@@ -132,4 +140,6 @@ class LocalEngine:
 
 
 def died() -> Outcome:
-    return Outcome("failed", f"the worker died {ATTEMPTS} times at this task (killed, or out of memory)")
+    return Outcome(
+        "failed", f"the worker died {ATTEMPTS} times at this task (killed, or out of memory)"
+    )

@@ -54,7 +54,14 @@ class Entry:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             meta = json.loads(arrays.pop("meta").tobytes())
-        except (zipfile.BadZipFile, ValueError, KeyError, OSError, EOFError, NotImplementedError) as error:
+        except (
+            zipfile.BadZipFile,
+            ValueError,
+            KeyError,
+            OSError,
+            EOFError,
+            NotImplementedError,
+        ) as error:
             raise DamagedEntry(f"damaged: {error}") from error
         if meta.pop("key", None) != key:
             raise DamagedEntry("it belongs to another key")

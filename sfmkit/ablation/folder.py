@@ -22,8 +22,8 @@ from typing import Any
 import pyarrow as pa
 from filelock import FileLock, Timeout
 
+from .._utils.writing import atomic_write
 from ..errors import InputError, OutputError
-from ..writing import atomic_write
 from .plan import Plan
 from .table import TABLE, AblationTable, read_shard, table_of, write_table
 from .tasks import EstimateTask
@@ -41,7 +41,9 @@ class SweepFolder:
         try:
             self.shards.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{self.path} cannot be written: {error.strerror or error}") from error
+            raise OutputError(
+                f"{self.path} cannot be written: {error.strerror or error}"
+            ) from error
 
     @property
     def shards(self) -> Path:
@@ -55,9 +57,9 @@ class SweepFolder:
     def locked(self) -> Iterator[None]:
         """Keep the folder to this process.
 
-        The system lets go of the lock when its holder ends, however it ends, so a lock that can be had is a free one;
-        what the holder wrote beside it says who to wait for, and tells a machine of a shared file system, whose locks
-        may not reach us, from this one.
+        The system lets go of the lock when its holder ends, however it ends, so a lock that can be
+        had is a free one; what the holder wrote beside it says who to wait for, and tells a machine
+        of a shared file system, whose locks may not reach us, from this one.
 
         Raises:
             InputError: another sweep runs in this folder.
@@ -71,7 +73,9 @@ class SweepFolder:
         try:
             holder = _read_holder(holder_file)
             if holder and holder.get("host") != platform.node():
-                raise InputError(f"{self._busy(holder)} If that process is gone, remove {holder_file} and start again")
+                raise InputError(
+                    f"{self._busy(holder)} If that process is gone, remove {holder_file} and start again"
+                )
             with atomic_write(holder_file) as file:
                 file.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
             yield
@@ -95,7 +99,9 @@ class SweepFolder:
             try:
                 found = json.loads(file.read_text())
             except json.JSONDecodeError:
-                raise InputError(f"{file} is damaged; choose another --out (what is cached is used again)") from None
+                raise InputError(
+                    f"{file} is damaged; choose another --out (what is cached is used again)"
+                ) from None
             if found.get("identity") != plan.identity:
                 raise InputError(
                     f"{self.path} holds another sweep: {_difference(found, plan.as_json())}. Choose another --out, or remove "
@@ -104,7 +110,9 @@ class SweepFolder:
         else:
             with atomic_write(file) as temporary:
                 temporary.write_text(json.dumps(plan.as_json(), indent=1))
-        for leftover in self.shards.glob(".*"):  # of a process that was killed; nobody else writes here now
+        for leftover in self.shards.glob(
+            ".*"
+        ):  # of a process that was killed; nobody else writes here now
             leftover.unlink()
 
     def has(self, unit: EstimateTask) -> bool:
@@ -116,7 +124,9 @@ class SweepFolder:
 
     def merge(self, plan: Plan) -> AblationTable:
         """All shards as one table, in the order of the plan."""
-        data = pa.concat_tables([read_shard(self._shard(unit)) for unit in plan.units]).combine_chunks()
+        data = pa.concat_tables(
+            [read_shard(self._shard(unit)) for unit in plan.units]
+        ).combine_chunks()
         write_table(data, self.path / TABLE)
         return AblationTable(data, self.path / TABLE)
 
@@ -128,7 +138,8 @@ class SweepFolder:
 
 
 def read_sweep(path: str | os.PathLike) -> dict[str, Any]:
-    """What the sweep in this folder is: operators, combinations, variants, seeds, and its pairs with their truth.
+    """What the sweep in this folder is: operators, combinations, variants, seeds, and its pairs
+    with their truth.
 
     Raises:
         InputError: there is none.
@@ -137,7 +148,9 @@ def read_sweep(path: str | os.PathLike) -> dict[str, Any]:
     try:
         return json.loads(file.read_text())
     except (OSError, json.JSONDecodeError) as error:
-        raise InputError(f"{path} holds no sweep ({file.name}: {error}); `sfmkit ablate` makes one") from None
+        raise InputError(
+            f"{path} holds no sweep ({file.name}: {error}); `sfmkit ablate` makes one"
+        ) from None
 
 
 def _read_holder(file: Path) -> dict[str, Any] | None:

@@ -11,7 +11,8 @@ from types import TracebackType
 class PeakMemory:
     """The most memory that the process held between ``with`` and its end.
 
-    Linux forgets the peak on request. Elsewhere it is the peak since the process began; where no peak is to be had, 0.
+    Linux forgets the peak on request. Elsewhere it is the peak since the process began; where no
+    peak is to be had, 0.
 
     Attributes:
         mb: megabytes (10^6 bytes), once the block has ended.
@@ -25,11 +26,18 @@ class PeakMemory:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         try:
             lines = Path("/proc/self/status").read_text().splitlines()
-            self.mb = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
+            self.mb = (
+                next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+                * 1024
+                / 1e6
+            )
         except (OSError, StopIteration):
             with suppress(ImportError):
                 import resource

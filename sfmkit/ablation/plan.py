@@ -1,4 +1,5 @@
-"""The whole work of a sweep, laid out before any of it is done: what is detected, matched and estimated, each once."""
+"""The whole work of a sweep, laid out before any of it is done: what is detected, matched and
+estimated, each once."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from .version import digest, engine_version
 
 _ESTIMATES = 24  # of a task at most: about ten seconds of work, and one shard
 
-# Rough costs of one thread, for the estimate of the time only: seconds a megapixel, a product of keypoints, an estimate.
+# Rough costs of one thread, for the estimate of the time only: seconds a megapixel, a product of
+# keypoints, an estimate.
 _DETECT_S = {"surf": 0.4, "orb": 0.15, "fast-brief": 0.1, "sift": 1.0, "akaze": 0.3}
 _DETECT_OTHER_S = 1.0
 _MATCH_S = 2.5e-9
@@ -80,24 +82,44 @@ class Plan:
         return digest(engine_version(), pairs, [unit.key for unit in self.units])
 
     def count(self, cache: Cache | None) -> Counts:
-        jobs = {job.key for unit in self.units for job in unit.jobs if not self.pairs[unit.pair].failure}
+        jobs = {
+            job.key for unit in self.units for job in unit.jobs if not self.pairs[unit.pair].failure
+        }
         groups: dict[str, Iterable[str]] = {
-            "features": self.detections, "matches": self.matchings, "estimates": jobs
-        }  # fmt: skip
-        have = {kind: {k for k in keys if cache is not None and cache.has(kind, k)} for kind, keys in groups.items()}
+            "features": self.detections,
+            "matches": self.matchings,
+            "estimates": jobs,
+        }
+        have = {
+            kind: {k for k in keys if cache is not None and cache.has(kind, k)}
+            for kind, keys in groups.items()
+        }
         waiting = [
-            unit for unit in self.units if not self.pairs[unit.pair].failure and any(j.key not in have["estimates"] for j in unit.jobs)
-        ]  # fmt: skip
-        matchings = {m.key: m for unit in waiting for m in unit.needs if m.key not in have["matches"]}
-        detections = {d.key: d for m in matchings.values() for d in m.needs if d.key not in have["features"]}
+            unit
+            for unit in self.units
+            if not self.pairs[unit.pair].failure
+            and any(j.key not in have["estimates"] for j in unit.jobs)
+        ]
+        matchings = {
+            m.key: m for unit in waiting for m in unit.needs if m.key not in have["matches"]
+        }
+        detections = {
+            d.key: d for m in matchings.values() for d in m.needs if d.key not in have["features"]
+        }
         stages: list[Task] = [*detections.values(), *matchings.values()]
         seconds = sum(cost(task) for task in stages)
         for unit in waiting:
-            seconds += cost(unit) * sum(j.key not in have["estimates"] for j in unit.jobs) / len(unit.jobs)
+            seconds += (
+                cost(unit) * sum(j.key not in have["estimates"] for j in unit.jobs) / len(unit.jobs)
+            )
         return Counts(
-            len(self.detections), len(self.matchings), len(jobs), {kind: len(keys) for kind, keys in have.items()},
-            sum(len(unit.jobs) for unit in self.units), seconds,
-        )  # fmt: skip
+            len(self.detections),
+            len(self.matchings),
+            len(jobs),
+            {kind: len(keys) for kind, keys in have.items()},
+            sum(len(unit.jobs) for unit in self.units),
+            seconds,
+        )
 
     def as_json(self) -> dict[str, Any]:
         """What the sweep is, for its folder."""
@@ -164,15 +186,22 @@ def make_plan(
         say("images", str(pair))
         found.append(plan_pair(pair, shelf))
     units = [
-        unit for index, pair in enumerate(found) for unit in _units(index, pair, combinations, variants, seeds)
-    ]  # fmt: skip
+        unit
+        for index, pair in enumerate(found)
+        for unit in _units(index, pair, combinations, variants, seeds)
+    ]
     return Plan(tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units))
 
 
 def _units(
-    index: int, pair: PlannedPair, combinations: Sequence[Combination], variants: Sequence[Variant], seeds: int
+    index: int,
+    pair: PlannedPair,
+    combinations: Sequence[Combination],
+    variants: Sequence[Variant],
+    seeds: int,
 ) -> Iterable[EstimateTask]:
-    """The estimates of one pair. A change to an operator is no change for combinations without it."""
+    """The estimates of one pair. A change to an operator is no change for combinations without
+    it."""
     chosen: dict[Variant, list[Combination]] = {}
     for variant in variants:
         for combination in combinations:
@@ -185,25 +214,36 @@ def _units(
             part = mine[start : start + size]
             matches = _matchings(pair, variant, part)
             jobs = tuple(
-                Job(c, seed, _job_key(index, pair, variant, matches, c, seed)) for c in part for seed in range(seeds)
+                Job(c, seed, _job_key(index, pair, variant, matches, c, seed))
+                for c in part
+                for seed in range(seeds)
             )
             key = digest("unit", index, [job.key for job in jobs])
             yield EstimateTask(key, index, pair.homography, pair.cameras, variant, jobs, matches)
 
 
-def _matchings(pair: PlannedPair, variant: Variant, combinations: Sequence[Combination]) -> dict[str, MatchTask]:
+def _matchings(
+    pair: PlannedPair, variant: Variant, combinations: Sequence[Combination]
+) -> dict[str, MatchTask]:
     if pair.images is None or pair.failure:
         return {}
     first, second = pair.images
     options = variant.options.match
     return {
-        o: MatchTask(DetectTask(first, variant.setting(o)), DetectTask(second, variant.setting(o)), options)
+        o: MatchTask(
+            DetectTask(first, variant.setting(o)), DetectTask(second, variant.setting(o)), options
+        )
         for o in dict.fromkeys(o for c in combinations for o in c)
     }
 
 
 def _job_key(
-    index: int, pair: PlannedPair, variant: Variant, matches: dict[str, MatchTask], combination: Combination, seed: int
+    index: int,
+    pair: PlannedPair,
+    variant: Variant,
+    matches: dict[str, MatchTask],
+    combination: Combination,
+    seed: int,
 ) -> str:
     if not matches:
         return digest("failed", index, str(pair), variant.preset, variant.vary, combination, seed)

@@ -1,7 +1,7 @@
 """A sweep from plan to table: ``ablate(...)``.
 
-One process plans, hands out tasks, and alone writes the sweep's folder; workers write the cache. Whatever is killed,
-what is in either stays, and the same call goes on from there.
+One process plans, hands out tasks, and alone writes the sweep's folder; workers write the cache.
+Whatever is killed, what is in either stays, and the same call goes on from there.
 """
 
 from __future__ import annotations
@@ -73,13 +73,16 @@ def ablate(
 
     >>> table = ablate("planes:viewpoint", ["surf", "orb", "sift"], seeds=3, out="out/ablation")
 
-    Every image is searched once for each operator and setting, every pair matched once, and all combinations and seeds
-    share that. Results are cached by content, so another sweep uses them too. A run that fails is a row with its reason.
+    Every image is searched once for each operator and setting, every pair matched once, and all
+    combinations and seeds share that. Results are cached by content, so another sweep uses them
+    too. A run that fails is a row with its reason.
 
     Args:
-        data: data sets, ``"oxford,strecha:fountain-P11"`` (sequences after a colon, joined by +), or pairs.
+        data: data sets, ``"oxford,strecha:fountain-P11"`` (sequences after a colon, joined by +),
+            or pairs.
         operators: names; their order is that of the combinations' names.
-        combos: ``all``, ``pairs``, ``leave-one-out``, or a list (:func:`~.variants.choose_combinations`).
+        combos: ``all``, ``pairs``, ``leave-one-out``, or a list
+            (:func:`~.variants.choose_combinations`).
         seeds: each estimate is made with seeds 0 ... seeds - 1.
         preset: ``default``, ``dense``, ``paper``, or several.
         vary: setting -> values, every combination of them (:func:`~.variants.choose_variants`).
@@ -87,15 +90,15 @@ def ablate(
         root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
         workers: local processes; None for one a core.
         scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.
-        ship: whether the cluster's workers see our files (``path``: images and cache), or images travel to them and
-            arrays back (``bytes``).
+        ship: whether the cluster's workers see our files (``path``: images and cache), or images
+            travel to them and arrays back (``bytes``).
         cache: folder; None: :func:`~.cache.cache_folder`.
         cache_limit: bytes of the cache.
         progress: called with a :class:`Progress`.
 
     Raises:
-        InputError: whatever is asked for cannot be, the folder holds another sweep or one that runs, no scheduler
-            answers, or workers run another version.
+        InputError: whatever is asked for cannot be, the folder holds another sweep or one that
+            runs, no scheduler answers, or workers run another version.
         OutputError: the disk is full, or a folder cannot be written. What was done is kept.
     """
     if ship not in ("path", "bytes"):
@@ -103,9 +106,21 @@ def ablate(
     if out is None:
         with tempfile.TemporaryDirectory(prefix="sfmkit-ablation-") as made:
             table = ablate(
-                data, operators, combos=combos, seeds=seeds, preset=preset, vary=vary, out=made, root=root,
-                workers=workers, scheduler=scheduler, ship=ship, cache=cache, cache_limit=cache_limit, progress=progress,
-            )  # fmt: skip
+                data,
+                operators,
+                combos=combos,
+                seeds=seeds,
+                preset=preset,
+                vary=vary,
+                out=made,
+                root=root,
+                workers=workers,
+                scheduler=scheduler,
+                ship=ship,
+                cache=cache,
+                cache_limit=cache_limit,
+                progress=progress,
+            )
         return AblationTable(table.data)
     watch: Watcher = progress or (lambda _: None)
     watch(Progress("plan", what="loading"))
@@ -113,10 +128,17 @@ def ablate(
     folder = SweepFolder(out)
     with folder.locked():
         plan = make_plan(
-            data, operators, combos=combos, seeds=seeds, presets=(preset,) if isinstance(preset, str) else preset,
-            vary=vary, root=root, cache=store, images=folder.images,
+            data,
+            operators,
+            combos=combos,
+            seeds=seeds,
+            presets=(preset,) if isinstance(preset, str) else preset,
+            vary=vary,
+            root=root,
+            cache=store,
+            images=folder.images,
             say=lambda stage, detail: watch(Progress("plan", what=f"{stage} {detail}")),
-        )  # fmt: skip
+        )
         folder.open(plan)
         store.tidy()
         setup = Setup(engine_version(), None if ship == "bytes" else str(store.folder.resolve()))
@@ -129,7 +151,9 @@ def ablate(
             return DaskEngine(scheduler, setup)
 
         if ship == "bytes" and scheduler is None:
-            raise InputError("ship='bytes' is for a cluster (scheduler=...); local processes see the same files")
+            raise InputError(
+                "ship='bytes' is for a cluster (scheduler=...); local processes see the same files"
+            )
         Sweep(plan, folder, store, watch).run(engine)
         rows = sum(len(unit.jobs) for unit in plan.units)
         watch(Progress("merge", rows, rows, str(folder.path), 0.0))
@@ -144,8 +168,12 @@ class Sweep:
     folder: SweepFolder
     cache: Cache
     watch: Watcher
-    _results: dict[str, dict[str, Mapping[str, Any] | str]] = field(default_factory=dict)  # unit -> job -> result
-    _numbers: dict[str, int] = field(default_factory=dict)  # key of an estimate task -> its unit's place in the plan
+    _results: dict[str, dict[str, Mapping[str, Any] | str]] = field(
+        default_factory=dict
+    )  # unit -> job -> result
+    _numbers: dict[str, int] = field(
+        default_factory=dict
+    )  # key of an estimate task -> its unit's place in the plan
     _rows_done: int = 0
     _notes: list[str] = field(default_factory=list)
     _spent: float = 0.0  # seconds of workers, and the cost that was expected for the same work
@@ -206,7 +234,9 @@ class Sweep:
                     number, unit = item
                     self._numbers[unit.key] = number
                     known = self._results[unit.key]
-                    agenda.want(unit.only(tuple(job for job in unit.jobs if job.key not in known)), number)
+                    agenda.want(
+                        unit.only(tuple(job for job in unit.jobs if job.key not in known)), number
+                    )
                 if not len(agenda):
                     break
                 task = agenda.pop()
@@ -230,7 +260,8 @@ class Sweep:
         return self.plan.units[self._numbers[task.key]]
 
     def _give_up(self, task: EstimateTask, reasons: dict[str, str]) -> None:
-        """Some operators have failed, for these reasons, and with them the combinations that have them."""
+        """Some operators have failed, for these reasons, and with them the combinations that have
+        them."""
         unit = self._unit(task)
         for job in task.jobs:
             operator = next((o for o in job.combination if o in reasons), None)
@@ -256,7 +287,9 @@ class Sweep:
                 Entry.from_bytes(data, key)
                 inputs[key] = data
             except DamagedEntry as error:
-                self._notes.append(f"cache entry {need.kind}/{key[:12]} is {error}; it is made again")
+                self._notes.append(
+                    f"cache entry {need.kind}/{key[:12]} is {error}; it is made again"
+                )
                 self.cache.drop(need.kind, key)
                 lost.append(need)
         if lost:
@@ -276,7 +309,9 @@ class Sweep:
             agenda.finished(task, outcome.reason)
             return
         unit = self._unit(task)
-        if outcome.status == "failed" and len(task.jobs) > 1:  # one of them is to blame: each by itself
+        if (
+            outcome.status == "failed" and len(task.jobs) > 1
+        ):  # one of them is to blame: each by itself
             for k, job in enumerate(task.jobs):
                 part = task.only((job,), f"{task.key}.{k}")
                 self._numbers[part.key] = self._numbers[task.key]
@@ -296,7 +331,9 @@ class Sweep:
         self._expected += cost(task)
         self._left = max(self._left - cost(task), 0.0)
         where = f"{self.plan.pairs[task.pair]}: " if isinstance(task, EstimateTask) else ""
-        self._say(f"{where}{task}", total, self._left * self._spent / max(self._expected, 1e-9) / slots)
+        self._say(
+            f"{where}{task}", total, self._left * self._spent / max(self._expected, 1e-9) / slots
+        )
 
     def _say(self, what: str, total: int, seconds_left: float | None = None) -> None:
         self.watch(Progress("run", self._rows_done, total, what, seconds_left, tuple(self._notes)))

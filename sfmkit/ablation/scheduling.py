@@ -1,4 +1,5 @@
-"""Which task may start next: each once, when what it needs is there, pair by pair in the order of the plan."""
+"""Which task may start next: each once, when what it needs is there, pair by pair in the order of
+the plan."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from .tasks import EstimateTask, MatchTask, Task
 
 
 def all_needs(task: Task) -> dict[str, Task]:
-    """What a worker reads for a task, by key: for an estimate, the matches and the features that they index."""
+    """What a worker reads for a task, by key: for an estimate, the matches and the features that
+    they index."""
     needs: dict[str, Task] = {t.key: t for t in task.needs}
     if isinstance(task, EstimateTask):
         needs |= {t.key: t for match in task.needs for t in match.needs}
@@ -22,11 +24,13 @@ def all_needs(task: Task) -> dict[str, Task]:
 class Agenda:
     """Tasks on their way to being ready.
 
-    A task that fails takes along only what needs it: an estimate goes on with the combinations that are left.
+    A task that fails takes along only what needs it: an estimate goes on with the combinations that
+    are left.
 
     Args:
         is_there: whether the result of a task exists already.
-        give_up: told of an estimate task and the reasons, operator -> reason, for which some of its jobs cannot be done.
+        give_up: told of an estimate task and the reasons, operator -> reason, for which some of its
+            jobs cannot be done.
     """
 
     is_there: Callable[[Task], bool]
@@ -44,7 +48,8 @@ class Agenda:
         return len(self._ready)
 
     def want(self, task: Task, priority: int) -> bool:
-        """Ask for the result of a task; whether it is there. Asking again for what is on its way does nothing."""
+        """Ask for the result of a task; whether it is there. Asking again for what is on its way
+        does nothing."""
         if task.key in self._there or task.key in self.failed:
             return True
         if task.key in self._waiting or task.key in self._under_way:
@@ -92,7 +97,9 @@ class Agenda:
         """All that the task needs is there, or has failed."""
         task, priority, _ = self._waiting.pop(key)
         if isinstance(task, EstimateTask):
-            reasons = {o: self.failed[m.key] for o, m in task.matches.items() if m.key in self.failed}
+            reasons = {
+                o: self.failed[m.key] for o, m in task.matches.items() if m.key in self.failed
+            }
             if reasons:
                 self.give_up(task, reasons)
                 jobs = tuple(job for job in task.jobs if not reasons.keys() & set(job.combination))

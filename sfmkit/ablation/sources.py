@@ -1,4 +1,5 @@
-"""The pairs of a sweep: from data sets or given, each image known by its bytes, rendered ones made once."""
+"""The pairs of a sweep: from data sets or given, each image known by its bytes, rendered ones made
+once."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ import PIL.Image
 
 from ..datasets import Pair, pairs
 from ..errors import CameraError, InputError
-from ..images import Image, read_image
-from ..pipeline import choose_cameras
+from ..io.images import Image, read_image
+from ..pipeline.reconstruction import choose_cameras
 from ..types import Camera
 from .cache import Cache
 from .entry import Entry
@@ -66,18 +67,31 @@ class PlannedPair:
             return None if a is None else np.asarray(a).tolist()
 
         return {
-            "dataset": self.dataset, "sequence": self.sequence, "pair": self.name,
+            "dataset": self.dataset,
+            "sequence": self.sequence,
+            "pair": self.name,
             "kind": "homography" if self.homography else "two-view",
-            "images": self.images and [{"path": i.path, "sha256": i.digest, "size_wh": list(i.size_wh)} for i in self.images],
+            "images": self.images
+            and [
+                {"path": i.path, "sha256": i.digest, "size_wh": list(i.size_wh)}
+                for i in self.images
+            ],
             "cameras": self.cameras
-            and [{"K": matrix(c.K), "distortion": matrix(c.distortion), "source": c.source} for c in self.cameras],
-            "H": matrix(self.H), "R": matrix(self.R), "t": matrix(self.t), "failure": self.failure,
-        }  # fmt: skip
+            and [
+                {"K": matrix(c.K), "distortion": matrix(c.distortion), "source": c.source}
+                for c in self.cameras
+            ],
+            "H": matrix(self.H),
+            "R": matrix(self.R),
+            "t": matrix(self.t),
+            "failure": self.failure,
+        }
 
 
 @dataclass
 class ImageShelf:
-    """Images by their bytes. Arrays become PNG files in `folder`, so that workers can be told a path.
+    """Images by their bytes. Arrays become PNG files in `folder`, so that workers can be told a
+    path.
 
     Attributes:
         folder: for those; None keeps them out of the file system, for a plan that is only counted.
@@ -97,8 +111,14 @@ class ImageShelf:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     with PIL.Image.open(io.BytesIO(data)) as picture:
-                        size = picture.size[::-1] if picture.getexif().get(_ORIENTATION) in _TURNED else picture.size
-            except Exception:  # Pillow raises almost anything; reading it in earnest says what is wrong
+                        size = (
+                            picture.size[::-1]
+                            if picture.getexif().get(_ORIENTATION) in _TURNED
+                            else picture.size
+                        )
+            except (
+                Exception
+            ):  # Pillow raises almost anything; reading it in earnest says what is wrong
                 size = read_image(path).size_wh
             self._known[path] = ImageRef(hashlib.sha256(data).hexdigest(), str(path), size)
         return self._known[path]
@@ -129,20 +149,33 @@ def plan_pair(pair: Pair, shelf: ImageShelf) -> PlannedPair:
     except (InputError, OSError) as error:
         failure = f"{type(error).__name__}: {error}"
     return PlannedPair(
-        pair.dataset, pair.sequence, pair.name, images, homography, cameras, pair.H, pair.R, pair.t, failure
+        pair.dataset,
+        pair.sequence,
+        pair.name,
+        images,
+        homography,
+        cameras,
+        pair.H,
+        pair.R,
+        pair.t,
+        failure,
     )
 
 
 def _cameras(pair: Pair, images: tuple[ImageRef, ImageRef]) -> tuple[Camera, Camera]:
     if pair.camera1 is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a guessed focal length: the camera's source says so
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # a guessed focal length: the camera's source says so
             both: tuple[Image, Image] = (read_image(images[0].path), read_image(images[1].path))
             return choose_cameras(both, None, pair.camera2)
     cameras = (pair.camera1, pair.camera2 or pair.camera1)
     for camera, image in zip(cameras, images):
         if camera.size_wh != image.size_wh:
-            raise CameraError(f"the camera is for {camera.size_wh}, the image has {image.size_wh} pixels")
+            raise CameraError(
+                f"the camera is for {camera.size_wh}, the image has {image.size_wh} pixels"
+            )
     return cameras
 
 
@@ -155,9 +188,9 @@ def find_pairs(
     """The pairs that `data` names or is.
 
     Args:
-        data: ``oxford,strecha:fountain-P11,synthetic:wide+plane`` as text or a list: data sets, of which some sequences;
-            or pairs.
-        root: folder of the data sets; None: see :func:`sfmkit.datasets.pairs`.
+        data: ``oxford,strecha:fountain-P11,synthetic:wide+plane`` as text or a list: data sets, of
+            which some sequences; or pairs.
+        root: folder of the data sets; None: see :func:`sfmkit.datasets.pair`.
         cache: where rendered pairs are kept; None renders them.
 
     Raises:
@@ -174,7 +207,11 @@ def find_pairs(
             continue
         chosen = [s for s in sequences.split("+") if s] or None
         say("pairs", item.strip())
-        found += _rendered(name, chosen, cache, say) if name in RENDERED else pairs(name, root, sequences=chosen)
+        found += (
+            _rendered(name, chosen, cache, say)
+            if name in RENDERED
+            else pairs(name, root, sequences=chosen)
+        )
     if not found:
         raise InputError("no pairs to run on; name data sets, e.g. --data oxford,strecha")
     return found
@@ -215,7 +252,10 @@ _ARRAYS = ("image1", "image2", "H", "R", "t")
 
 def _pack(key: str, made: Sequence[Pair]) -> Entry:
     arrays = {
-        f"{i}.{n}": np.asarray(getattr(p, n)) for i, p in enumerate(made) for n in _ARRAYS if getattr(p, n) is not None
+        f"{i}.{n}": np.asarray(getattr(p, n))
+        for i, p in enumerate(made)
+        for n in _ARRAYS
+        if getattr(p, n) is not None
     }
     for i, p in enumerate(made):
         if p.camera1 is not None and p.camera2 is not None:
@@ -230,6 +270,17 @@ def _unpack(dataset: str, sequence: str, entry: Entry) -> list[Pair]:
             None if mine[k] is None else Camera(mine[k], mine[n].shape[1::-1])
             for k, n in (("K1", "image1"), ("K2", "image2"))
         )
-        return Pair(dataset, sequence, name, mine["image1"], mine["image2"], one, two, mine["H"], mine["R"], mine["t"])
+        return Pair(
+            dataset,
+            sequence,
+            name,
+            mine["image1"],
+            mine["image2"],
+            one,
+            two,
+            mine["H"],
+            mine["R"],
+            mine["t"],
+        )
 
     return [pair(i, name) for i, name in enumerate(entry.meta["names"])]

@@ -1,6 +1,7 @@
 """What a worker computes: features, matches and estimates, as entries of the cache.
 
-Times are processor times: a worker computes on one thread, and what else the machine does is none of an operator's fault.
+Times are processor times: a worker computes on one thread, and what else the machine does is none
+of an operator's fault.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from ..errors import InputError
 from ..estimation import adjust, estimate_two_view
 from ..estimation.planar import PAPER_PLANAR, PlanarOptions
 from ..features import detect
-from ..images import Image, decode_image, read_image
-from ..matching import match
-from ..registration import fuse_all, register_matches
+from ..io.images import Image, decode_image, read_image
+from ..matching.nearest import match
+from ..pipeline.registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches, Verdict
 from .cache import Cache
 from .entry import Entry
@@ -56,7 +57,11 @@ class Store:
     def result(self, task: DetectTask | MatchTask) -> Entry:
         found = self._find(task)
         if found is None:
-            found = make_features(task, self) if isinstance(task, DetectTask) else make_matches(task, self)
+            found = (
+                make_features(task, self)
+                if isinstance(task, DetectTask)
+                else make_matches(task, self)
+            )
             if self.cache is not None:
                 self.cache.put(task.kind, found)
         self._keep(found)
@@ -88,8 +93,13 @@ def make_features(task: DetectTask, store: Store) -> Entry:
         image = store.image(task.image)
         began = time.process_time()
         f = detect(
-            image, s.operator, budget=s.budget, max_size=s.max_size, preset=s.preset, **dict(s.options)  # type: ignore[arg-type]
-        )  # fmt: skip
+            image,
+            s.operator,
+            budget=s.budget,
+            max_size=s.max_size,
+            preset=s.preset,  # type: ignore[arg-type]
+            **dict(s.options),
+        )
         seconds = time.process_time() - began
     arrays = {name: getattr(f, name) for name in _FEATURES}
     if f.laplacian is not None:
@@ -107,9 +117,12 @@ def make_features(task: DetectTask, store: Store) -> Entry:
 def features_of(entry: Entry) -> Features:
     a, m = entry.arrays, entry.meta
     return Features(
-        **{name: a[name] for name in _FEATURES}, norm=m["norm"], operator=m["operator"],
-        size_wh=(m["size_wh"][0], m["size_wh"][1]), laplacian=a.get("laplacian"),
-    )  # fmt: skip
+        **{name: a[name] for name in _FEATURES},
+        norm=m["norm"],
+        operator=m["operator"],
+        size_wh=(m["size_wh"][0], m["size_wh"][1]),
+        laplacian=a.get("laplacian"),
+    )
 
 
 def make_matches(task: MatchTask, store: Store) -> Entry:
@@ -121,7 +134,9 @@ def make_matches(task: MatchTask, store: Store) -> Entry:
         m = match(f1, f2, mutual=o.mutual, max_ratio=o.max_ratio, max_distance=o.max_distance)
         seconds = time.process_time() - began
     arrays = {"index1": m.index1, "index2": m.index2, "distance": m.distance, "ratio": m.ratio}
-    return Entry(task.key, {"operator": task.operator, "seconds": seconds, "peak_mb": memory.mb}, arrays)
+    return Entry(
+        task.key, {"operator": task.operator, "seconds": seconds, "peak_mb": memory.mb}, arrays
+    )
 
 
 def estimate_combination(
@@ -129,7 +144,8 @@ def estimate_combination(
 ) -> list[Entry]:
     """Stages 2, fusion, and 3: all seeds of one combination, which share the fused matches.
 
-    The operators go in the order of their names, so that a combination has one result whatever order it is written in.
+    The operators go in the order of their names, so that a combination has one result whatever
+    order it is written in.
     """
     features: dict[str, tuple[Features, Features]] = {}
     matches: dict[str, Matches] = {}
@@ -179,7 +195,9 @@ def _homography(
     changed = dict(variant.changes)
     if "threshold_px" in changed:
         planar = replace(planar, threshold_px=changed["threshold_px"])
-    r = register_matches(features, matches, options=variant.options, planar=planar, seed=seed, fused=fused)
+    r = register_matches(
+        features, matches, options=variant.options, planar=planar, seed=seed, fused=fused
+    )
     return {
         "verdict": r.verdict.value,
         "reason": r.reason,

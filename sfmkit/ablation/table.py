@@ -1,4 +1,5 @@
-"""The table that a sweep makes: one row for each pair, combination, preset and seed. Its columns are its interface.
+"""The table that a sweep makes: one row for each pair, combination, preset and seed. Its columns
+are its interface.
 
 ``docs/ablation.md`` describes them; :data:`SCHEMA` is what is written.
 """
@@ -18,11 +19,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import torch
 
+from .._utils.writing import atomic_write
 from ..errors import InputError
-from ..evaluation.metrics import corner_error, homography_rmse
 from ..geometry.pose import rotation_error, translation_error
+from ..metrics import corner_error, homography_rmse
 from ..types import Verdict
-from ..writing import atomic_write
 from .sources import PlannedPair
 from .tasks import EstimateTask, Job
 from .variants import JOIN
@@ -32,32 +33,66 @@ TABLE = "ablation.parquet"
 _text, _count, _number = pa.string(), pa.int64(), pa.float64()
 SCHEMA = pa.schema(
     [
-        ("dataset", _text), ("sequence", _text), ("pair", _text), ("kind", _text), ("has_truth", pa.bool_()),
-        ("combination", _text), ("operators", pa.list_(_text)), ("n_operators", _count),
-        ("preset", _text), ("vary", _text), ("seed", _count),
-        ("keypoints1", _count), ("keypoints2", _count), ("matches", _count), ("correspondences", _count),
-        ("inliers", _count), ("guided", _count),
-        ("error", _number), ("error_unit", _text),
-        ("corner_error_px", _number), ("rmse", _number), ("rotation_deg", _number), ("translation_deg", _number),
-        ("status", _text), ("verdict", _text), ("reason", _text), ("failure", _text),
-        ("H", pa.list_(_number)), ("R", pa.list_(_number)), ("t", pa.list_(_number)),
-        ("seconds_detect", _number), ("seconds_match", _number), ("seconds_fuse", _number),
-        ("seconds_estimate", _number), ("seconds", _number), ("peak_memory_mb", _number),
-        ("versions", _text), ("machine", _text),
+        ("dataset", _text),
+        ("sequence", _text),
+        ("pair", _text),
+        ("kind", _text),
+        ("has_truth", pa.bool_()),
+        ("combination", _text),
+        ("operators", pa.list_(_text)),
+        ("n_operators", _count),
+        ("preset", _text),
+        ("vary", _text),
+        ("seed", _count),
+        ("keypoints1", _count),
+        ("keypoints2", _count),
+        ("matches", _count),
+        ("correspondences", _count),
+        ("inliers", _count),
+        ("guided", _count),
+        ("error", _number),
+        ("error_unit", _text),
+        ("corner_error_px", _number),
+        ("rmse", _number),
+        ("rotation_deg", _number),
+        ("translation_deg", _number),
+        ("status", _text),
+        ("verdict", _text),
+        ("reason", _text),
+        ("failure", _text),
+        ("H", pa.list_(_number)),
+        ("R", pa.list_(_number)),
+        ("t", pa.list_(_number)),
+        ("seconds_detect", _number),
+        ("seconds_match", _number),
+        ("seconds_fuse", _number),
+        ("seconds_estimate", _number),
+        ("seconds", _number),
+        ("peak_memory_mb", _number),
+        ("versions", _text),
+        ("machine", _text),
     ]
-)  # fmt: skip
+)
 
 # Two runs of one sweep differ in these columns only.
 VOLATILE = (
-    "seconds_detect", "seconds_match", "seconds_fuse", "seconds_estimate", "seconds", "peak_memory_mb", "machine",
-)  # fmt: skip
+    "seconds_detect",
+    "seconds_match",
+    "seconds_fuse",
+    "seconds_estimate",
+    "seconds",
+    "peak_memory_mb",
+    "machine",
+)
 
 OK, NO_ESTIMATE, FAILED = "ok", "no estimate", "failed"
 
 Row = dict[str, Any]
 
 
-def make_row(pair: PlannedPair, unit: EstimateTask, job: Job, result: Mapping[str, Any] | str) -> Row:
+def make_row(
+    pair: PlannedPair, unit: EstimateTask, job: Job, result: Mapping[str, Any] | str
+) -> Row:
     """The row of a job.
 
     Args:
@@ -65,26 +100,41 @@ def make_row(pair: PlannedPair, unit: EstimateTask, job: Job, result: Mapping[st
     """
     row: Row = dict.fromkeys(SCHEMA.names)
     row |= {
-        "dataset": pair.dataset, "sequence": pair.sequence, "pair": pair.name,
-        "kind": "homography" if pair.homography else "two-view", "has_truth": pair.has_truth,
-        "combination": JOIN.join(job.combination), "operators": list(job.combination),
-        "n_operators": len(job.combination), "preset": unit.variant.preset, "vary": unit.variant.vary, "seed": job.seed,
+        "dataset": pair.dataset,
+        "sequence": pair.sequence,
+        "pair": pair.name,
+        "kind": "homography" if pair.homography else "two-view",
+        "has_truth": pair.has_truth,
+        "combination": JOIN.join(job.combination),
+        "operators": list(job.combination),
+        "n_operators": len(job.combination),
+        "preset": unit.variant.preset,
+        "vary": unit.variant.vary,
+        "seed": job.seed,
         "error_unit": "px" if pair.homography else "deg",
-    }  # fmt: skip
+    }
     if isinstance(result, str):
         return row | {"status": FAILED, "failure": result}
     seconds, versions = result["seconds"], result["versions"]
     row |= {
-        "keypoints1": result["keypoints"][0], "keypoints2": result["keypoints"][1],
-        "matches": result["matches"], "correspondences": result["correspondences"],
-        "inliers": result["inliers"], "guided": result["guided"],
+        "keypoints1": result["keypoints"][0],
+        "keypoints2": result["keypoints"][1],
+        "matches": result["matches"],
+        "correspondences": result["correspondences"],
+        "inliers": result["inliers"],
+        "guided": result["guided"],
         "status": NO_ESTIMATE if result["verdict"] == Verdict.TOO_LITTLE else OK,
-        "verdict": result["verdict"], "reason": result["reason"],
-        "H": result["H"], "R": result["R"], "t": result["t"],
-        **{f"seconds_{stage}": s for stage, s in seconds.items()}, "seconds": sum(seconds.values()),
+        "verdict": result["verdict"],
+        "reason": result["reason"],
+        "H": result["H"],
+        "R": result["R"],
+        "t": result["t"],
+        **{f"seconds_{stage}": s for stage, s in seconds.items()},
+        "seconds": sum(seconds.values()),
         "peak_memory_mb": result["peak_mb"],
-        "versions": ", ".join(f"{name} {v}" for name, v in versions.items()), "machine": result["machine"],
-    }  # fmt: skip
+        "versions": ", ".join(f"{name} {v}" for name, v in versions.items()),
+        "machine": result["machine"],
+    }
     return row | (_errors(pair, row) if pair.has_truth else {})
 
 
@@ -102,13 +152,23 @@ def _errors(pair: PlannedPair, row: Row) -> Row:
     assert pair.t is not None
     if row["R"] is None:
         return {"error": math.inf}
-    rotation = float(rotation_error(torch.tensor(row["R"], dtype=torch.float64).reshape(3, 3), torch.tensor(pair.R)))
+    rotation = float(
+        rotation_error(
+            torch.tensor(row["R"], dtype=torch.float64).reshape(3, 3), torch.tensor(pair.R)
+        )
+    )
     if not np.any(pair.t):  # taken from one place: there is no direction to get wrong
         return {"rotation_deg": rotation, "error": rotation}
     if row["t"] is None:
         return {"rotation_deg": rotation, "error": math.inf}
-    translation = float(translation_error(torch.tensor(row["t"], dtype=torch.float64), torch.tensor(pair.t)))
-    return {"rotation_deg": rotation, "translation_deg": translation, "error": max(rotation, translation)}
+    translation = float(
+        translation_error(torch.tensor(row["t"], dtype=torch.float64), torch.tensor(pair.t))
+    )
+    return {
+        "rotation_deg": rotation,
+        "translation_deg": translation,
+        "error": max(rotation, translation),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +192,16 @@ class AblationTable:
 
     def __getitem__(self, column: str) -> list[Any]:
         if column not in self.data.column_names:
-            raise InputError(f"there is no column '{column}'; there are {', '.join(self.data.column_names)}")
+            raise InputError(
+                f"there is no column '{column}'; there are {', '.join(self.data.column_names)}"
+            )
         return self.data[column].to_pylist()
 
     def __repr__(self) -> str:
-        states = {s: int(pc.sum(pc.equal(self.data["status"], s)).as_py() or 0) for s in (OK, NO_ESTIMATE, FAILED)}
+        states = {
+            s: int(pc.sum(pc.equal(self.data["status"], s)).as_py() or 0)
+            for s in (OK, NO_ESTIMATE, FAILED)
+        }
         pairs = len(
             {
                 (r["dataset"], r["sequence"], r["pair"])
@@ -187,5 +252,7 @@ def read_shard(file: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{file} cannot be read as Parquet: {error}") from None
     if data.schema.names != SCHEMA.names:
-        raise InputError(f"{file} has other columns than an ablation's table; was it made by another version?")
+        raise InputError(
+            f"{file} has other columns than an ablation's table; was it made by another version?"
+        )
     return data

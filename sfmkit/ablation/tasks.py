@@ -1,8 +1,8 @@
 """The units of work, each with the key of its result.
 
-A task holds the recipe of everything it needs, so any worker can carry it out from scratch; what is in the cache it
-finds instead. Equal recipes have equal keys: that is how 31 combinations of five operators come to need five detections
-an image and five matchings a pair.
+A task holds the recipe of everything it needs, so any worker can carry it out from scratch; what is
+in the cache it finds instead. Equal recipes have equal keys: that is how 31 combinations of five
+operators come to need five detections an image and five matchings a pair.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ class DetectTask:
 
     @cached_property
     def key(self) -> str:
-        return digest("features", stage_version("features"), self.image.digest, self.setting.as_json())
+        return digest(
+            "features", stage_version("features"), self.image.digest, self.setting.as_json()
+        )
 
     @property
     def needs(self) -> tuple[DetectTask, ...]:
@@ -154,8 +156,18 @@ def estimate_key(
         settings.append(o.estimate.threshold_px if _changes(variant, "threshold_px") else None)
     else:
         e = o.estimate
-        settings += [e.model, e.backend, e.method, e.threshold_px, e.confidence, e.max_iterations, e.refine]
-        settings += [[np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist()] for c in cameras or ()]
+        settings += [
+            e.model,
+            e.backend,
+            e.method,
+            e.threshold_px,
+            e.confidence,
+            e.max_iterations,
+            e.refine,
+        ]
+        settings += [
+            [np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist()] for c in cameras or ()
+        ]
     used = [[name, matches[name].key] for name in sorted(combination)]
     return digest("estimate", stage_version("estimates"), homography, settings, used, seed)
 

@@ -41,9 +41,9 @@ def choose_combinations(
 
     Args:
         operators: names, in the order that they are to have everywhere.
-        combos: ``all`` (every non-empty subset), ``pairs`` (single operators and every two), ``leave-one-out`` (all
-            together, all but one, and each alone), or a list: ``surf/orb,sift`` as text, or a sequence of such
-            combinations.
+        combos: ``all`` (every non-empty subset), ``pairs`` (single operators and every two),
+            ``leave-one-out`` (all together, all but one, and each alone), or a list:
+            ``surf/orb,sift`` as text, or a sequence of such combinations.
 
     Raises:
         InputError: unknown operators, too many for ``all``, an empty or unreadable list.
@@ -53,13 +53,20 @@ def choose_combinations(
     n = len(operators)
     if combos in ("all", "pairs", "leave-one-out"):
         if combos == "all" and n > MAX_OPERATORS:
-            raise InputError(f"{n} operators have {2**n - 1:,} combinations; choose pairs, leave-one-out or a list")
-        sizes = {"all": range(1, n + 1), "pairs": (1, 2), "leave-one-out": (1, n - 1, n)}[str(combos)]
+            raise InputError(
+                f"{n} operators have {2**n - 1:,} combinations; choose pairs, leave-one-out or a list"
+            )
+        sizes = {"all": range(1, n + 1), "pairs": (1, 2), "leave-one-out": (1, n - 1, n)}[
+            str(combos)
+        ]
         found = [c for size in sizes for c in combinations(operators, size)]
     else:
         parts = combos.split(",") if isinstance(combos, str) else combos
         found = [_combination(part, operators) for part in parts if part]
-    found = sorted(dict.fromkeys(c for c in found if c), key=lambda c: (len(c), [operators.index(o) for o in c]))
+    found = sorted(
+        dict.fromkeys(c for c in found if c),
+        key=lambda c: (len(c), [operators.index(o) for o in c]),
+    )
     if not found:
         raise InputError(
             f"no combination in {combos!r}; use all, pairs, leave-one-out, or a list such as surf/orb,sift"
@@ -95,7 +102,13 @@ class Setting:
     options: tuple[tuple[str, Any], ...] = ()
 
     def as_json(self) -> list[Any]:
-        return [self.operator, self.preset, self.budget, self.max_size, [list(o) for o in self.options]]
+        return [
+            self.operator,
+            self.preset,
+            self.budget,
+            self.max_size,
+            [list(o) for o in self.options],
+        ]
 
 
 @dataclass(frozen=True)
@@ -112,7 +125,10 @@ class Variant:
 
     def of(self, combination: Combination) -> Variant:
         """This variant, less the changes to operators that are not in the combination."""
-        return replace(self, changes=tuple(c for c in self.changes if c[0].rpartition(".")[0] in ("", *combination)))
+        return replace(
+            self,
+            changes=tuple(c for c in self.changes if c[0].rpartition(".")[0] in ("", *combination)),
+        )
 
     @property
     def vary(self) -> str:
@@ -130,7 +146,9 @@ class Variant:
             owner, _, option = name.rpartition(".")
             if owner == operator:
                 mine[option] = value
-        return Setting(operator, detect.preset, detect.budget, detect.max_size, tuple(sorted(mine.items())))
+        return Setting(
+            operator, detect.preset, detect.budget, detect.max_size, tuple(sorted(mine.items()))
+        )
 
 
 @cache
@@ -150,11 +168,13 @@ def choose_variants(
 
     Args:
         presets: ``default``, ``dense``, ``paper``, in any case.
-        vary: name -> values. A name is a stage's setting (:data:`STAGE_SETTINGS`), ``operator.option``, or the
+        vary: name -> values. A name is a stage's setting (:data:`STAGE_SETTINGS`),
+            ``operator.option``, or the
             beginning of either that only one has: ``hessian`` for ``surf.hessian_threshold``.
 
     Raises:
-        InputError: unknown presets; unknown or ambiguous names, no values, or values of another type.
+        InputError: unknown presets; unknown or ambiguous names, no values, or values of another
+            type.
     """
     chosen = list(dict.fromkeys(str(p).strip().lower() for p in presets))
     for preset in chosen:
@@ -168,7 +188,9 @@ def choose_variants(
         name = _resolve(word, defaults)
         if isinstance(values, str) or not len(tuple(values)):
             raise InputError(f"--vary {word}: give at least one value, e.g. {word}=30,100")
-        axes.append([(name, _typed(name, value, defaults[name])) for value in dict.fromkeys(values)])
+        axes.append(
+            [(name, _typed(name, value, defaults[name])) for value in dict.fromkeys(values)]
+        )
     return [Variant(preset, changes) for preset in chosen for changes in product(*axes)]
 
 
@@ -184,14 +206,25 @@ def parse_vary(texts: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _settings_with_defaults(operators: Sequence[str]) -> dict[str, Any]:
-    stage = {name: getattr(getattr(PRESETS["default"], group), name) for name, group in STAGE_SETTINGS.items()}
-    return stage | {f"{o}.{option}": value for o in operators for option, value in operator_spec(o).options.items()}
+    stage = {
+        name: getattr(getattr(PRESETS["default"], group), name)
+        for name, group in STAGE_SETTINGS.items()
+    }
+    return stage | {
+        f"{o}.{option}": value
+        for o in operators
+        for option, value in operator_spec(o).options.items()
+    }
 
 
 def _resolve(word: str, defaults: Mapping[str, Any]) -> str:
     if word in defaults:
         return word
-    near = [name for name in defaults if name.startswith(word) or name.partition(".")[2].startswith(word)]
+    near = [
+        name
+        for name in defaults
+        if name.startswith(word) or name.partition(".")[2].startswith(word)
+    ]
     if len(near) == 1:
         return near[0]
     what = f"may be {', '.join(near)}" if near else f"is none of {', '.join(defaults)}"

@@ -9,20 +9,31 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
+from .._version import __version__
 
 _ROOT = Path(__file__).parent.parent
-_LIBRARIES = {"numpy": "numpy", "torch": "torch", "kornia": "kornia", "opencv": "opencv-contrib-python-headless"}
+_LIBRARIES = {
+    "numpy": "numpy",
+    "torch": "torch",
+    "kornia": "kornia",
+    "opencv": "opencv-contrib-python-headless",
+}
 
 # What the results of a stage depend on. Editing a plot makes no feature out of date.
 SOURCES = {
-    "features": ("features", "images.py", "parallel.py", "types.py"),
+    "features": ("features", "io/images.py", "_utils/parallel.py", "types.py"),
     "pairs": ("datasets",),
-    "matches": ("matching.py", "parallel.py", "types.py"),
+    "matches": ("matching", "_utils/parallel.py", "types.py"),
     "estimates": (
-        "ablation/stages.py", "estimation", "geometry", "fusion.py", "guided.py", "options.py", "registration.py", "types.py",
+        "ablation/stages.py",
+        "estimation",
+        "geometry",
+        "matching",
+        "options.py",
+        "pipeline/registration.py",
+        "types.py",
     ),
-}  # fmt: skip
+}
 
 
 @cache
@@ -40,16 +51,24 @@ def stage_version(stage: str) -> str:
 @cache
 def versions() -> dict[str, str]:
     """Versions of sfmkit and of what it computes with."""
-    return {"sfmkit": __version__, **{name: version(package) for name, package in _LIBRARIES.items()}}
+    return {
+        "sfmkit": __version__,
+        **{name: version(package) for name, package in _LIBRARIES.items()},
+    }
 
 
 @cache
 def engine_version() -> str:
-    """What a worker must have in common with whoever gives it work: versions, and the source of every stage."""
-    code = hashlib.sha256("".join(stage_version(stage) for stage in SOURCES).encode()).hexdigest()[:12]
+    """What a worker must have in common with whoever gives it work: versions, and the source of
+    every stage."""
+    code = hashlib.sha256("".join(stage_version(stage) for stage in SOURCES).encode()).hexdigest()[
+        :12
+    ]
     return " ".join(f"{name} {v}" for name, v in versions().items()) + f", code {code}"
 
 
 def digest(*parts: Any) -> str:
     """Hexadecimal sha256 of JSON-able parts."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:40]
+    return hashlib.sha256(
+        json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()
+    ).hexdigest()[:40]

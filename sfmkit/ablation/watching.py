@@ -7,7 +7,14 @@ from contextlib import contextmanager
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.progress import Progress as Bars
 from rich.table import Table
 from rich.text import Text
@@ -45,9 +52,13 @@ def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watche
         yield lambda progress: None
         return
     columns = (
-        TextColumn("{task.fields[stage]:<5}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), _Left(),
+        TextColumn("{task.fields[stage]:<5}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        _Left(),
         TextColumn("{task.description}"),
-    )  # fmt: skip
+    )
     with Bars(*columns, console=console, transient=True) as bars:
         task = bars.add_task("", total=None, stage="plan", left=None)
 
@@ -68,7 +79,16 @@ def print_overview(table: AblationTable) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=_WIDTH)  # a file has no width to respect
-    shown = Table("data", "combination", "preset", "median error", "no estimate", "failed", "inliers", "seconds")
+    shown = Table(
+        "data",
+        "combination",
+        "preset",
+        "median error",
+        "no estimate",
+        "failed",
+        "inliers",
+        "seconds",
+    )
     for column in shown.columns[3:]:
         column.justify = "right"
     best = sorted(groups.items(), key=lambda item: (item[0][0], _median_error(item[1])))
@@ -80,13 +100,23 @@ def print_overview(table: AblationTable) -> None:
         seconds = np.median([r["seconds"] for r in rows if r["seconds"] is not None] or [0])
         unit = rows[0]["error_unit"]
         shown.add_row(
-            dataset, combination, preset, "-" if np.isinf(error) else f"{error:.3g} {unit}", f"{none} of {len(rows)}",
-            f"{failed}", f"{inliers:,.0f}", f"{seconds:.2f}",
-        )  # fmt: skip
+            dataset,
+            combination,
+            preset,
+            "-" if np.isinf(error) else f"{error:.3g} {unit}",
+            f"{none} of {len(rows)}",
+            f"{failed}",
+            f"{inliers:,.0f}",
+            f"{seconds:.2f}",
+        )
     console.print(shown)
     if len(best) > _LONGEST:
         console.print(f"... and {len(best) - _LONGEST} more lines")
-    reasons = {f"{r['dataset']}/{r['sequence']} {r['pair']}: {r['failure']}" for r in table if r["status"] == FAILED}
+    reasons = {
+        f"{r['dataset']}/{r['sequence']} {r['pair']}: {r['failure']}"
+        for r in table
+        if r["status"] == FAILED
+    }
     for reason in sorted(reasons)[:5]:
         console.print(reason, style="yellow", highlight=False)
 

@@ -1,7 +1,8 @@
 """A worker: takes a task, carries it out on one thread, and says how it went.
 
-The same function runs in local processes and on a Dask cluster. :func:`main` is the local kind: it reads tasks from its
-input and writes outcomes to its output until the input ends, which it also does when whoever started it is killed.
+The same function runs in local processes and on a Dask cluster. :func:`main` is the local kind: it
+reads tasks from its input and writes outcomes to its output until the input ends, which it also
+does when whoever started it is killed.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, BinaryIO, Literal
 
+from .._utils.machine import processor
 from ..errors import OutputError
-from ..machine import processor
 from .cache import Cache
 from .entry import Entry
 from .stages import Store, estimate_combination
@@ -38,7 +39,8 @@ class Setup:
 
     Attributes:
         version: :func:`~.version.engine_version` of whoever plans.
-        cache: folder that all workers see; None where they share no files and results travel as bytes.
+        cache: folder that all workers see; None where they share no files and results travel as
+            bytes.
     """
 
     version: str
@@ -47,7 +49,8 @@ class Setup:
 
 @dataclass(frozen=True)
 class Parcel:
-    """What travels with a task where files are not shared: digest of an image, or key of a result -> its bytes."""
+    """What travels with a task where files are not shared: digest of an image, or key of a result
+    -> its bytes."""
 
     images: Mapping[str, bytes] = field(default_factory=dict)
     inputs: Mapping[str, bytes] = field(default_factory=dict)
@@ -58,8 +61,8 @@ class Outcome:
     """How a task went.
 
     Attributes:
-        status: ``done``; ``failed`` for this task only; ``full`` where nothing can be written; ``refused`` by a worker of
-            another version.
+        status: ``done``; ``failed`` for this task only; ``full`` where nothing can be written;
+            ``refused`` by a worker of another version.
         reason: of a failure.
         seconds: wall time.
         estimates: key of a job -> its result, or the reason of its failure as text.
@@ -91,7 +94,11 @@ def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
     with _busy:
         one_thread()
         store = Store(
-            Cache(setup.cache) if setup.cache else None, parcel.inputs, parcel.images, notes.append, kept=_kept
+            Cache(setup.cache) if setup.cache else None,
+            parcel.inputs,
+            parcel.images,
+            notes.append,
+            kept=_kept,
         )
         estimates: dict[str, dict[str, Any] | str] = {}
         data = None
@@ -104,8 +111,12 @@ def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
         except OutputError as error:
             return Outcome("full", str(error))
         except Exception as error:
-            return Outcome("failed", reason_of(error), time.perf_counter() - began, machine=machine())
-    return Outcome("done", "", time.perf_counter() - began, estimates, data, tuple(notes), machine())
+            return Outcome(
+                "failed", reason_of(error), time.perf_counter() - began, machine=machine()
+            )
+    return Outcome(
+        "done", "", time.perf_counter() - began, estimates, data, tuple(notes), machine()
+    )
 
 
 def _estimate(task: EstimateTask, store: Store) -> dict[str, dict[str, Any] | str]:
@@ -137,7 +148,8 @@ def reason_of(error: BaseException) -> str:
 
 
 def one_thread() -> None:
-    """This thread computes on one core. Said again before every task: torch's setting belongs to the thread."""
+    """This thread computes on one core. Said again before every task: torch's setting belongs to
+    the thread."""
     import cv2
     import torch
 
@@ -178,7 +190,8 @@ def receive(stream: BinaryIO) -> Any:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Stop in the middle of a task when whoever gave it is gone: the next sweep needs the processor."""
+    """Stop in the middle of a task when whoever gave it is gone: the next sweep needs the
+    processor."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from ..errors import InputError
-from .pairs import Pair
+from .pair import Pair
 
 __all__ = ["Pair", "pairs"]
 
@@ -17,9 +17,11 @@ def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -
     """The pairs of a data set.
 
     Args:
-        dataset: ``oxford``, ``hpatches``, ``strecha``, ``uav``, ``synthetic`` or ``planes``. For ``colmap`` and ``pair`` call
-            :func:`sfmkit.datasets.colmap.colmap` and make a :class:`Pair`: they take files.
-        data: folder that holds the data set; None: the environment variable ``SFMKIT_DATA``, or what was fetched.
+        dataset: ``oxford``, ``hpatches``, ``strecha``, ``uav``, ``synthetic`` or ``planes``. For
+            ``colmap`` and ``pair`` call :func:`sfmkit.datasets.colmap.colmap` and make a
+            :class:`Pair`: they take files.
+        data: folder that holds the data set; None: the environment variable ``SFMKIT_DATA``, or
+            what was fetched.
         options: of the iterator, such as ``sequences``.
 
     Raises:

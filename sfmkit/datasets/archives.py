@@ -1,4 +1,5 @@
-"""Unpacking archives from the network: nothing outside the folder, no links, no more than was announced."""
+"""Unpacking archives from the network: nothing outside the folder, no links, no more than was
+announced."""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
         `folder`, or the one folder in it where the archive wraps everything in one.
 
     Raises:
-        InputError: no archive, a damaged one, one with links, devices or names that lead out of the folder, or with more
-            than the limits allow. What was written before the error stays: unpack into a folder that is thrown away then.
+        InputError: no archive, a damaged one, one with links, devices or names that lead out of the
+            folder, or with more than the limits allow. What was written before the error stays:
+            unpack into a folder that is thrown away then.
     """
     count = total = 0
     try:
@@ -36,7 +38,9 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
                 continue
             count += 1
             if count > max_files:
-                raise InputError(f"{archive.name} holds more than the {max_files:,} files expected; it is not unpacked")
+                raise InputError(
+                    f"{archive.name} holds more than the {max_files:,} files expected; it is not unpacked"
+                )
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("xb") as out:
                 while chunk := stream.read(_CHUNK):
@@ -46,14 +50,26 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
                             f"{archive.name} unpacks to more than the {max_bytes:,} bytes expected; it is not unpacked"
                         )
                     out.write(chunk)
-    except (tarfile.TarError, zipfile.BadZipFile, EOFError, zlib.error, UnicodeDecodeError) as error:
-        raise InputError(f"{archive.name} is damaged or no archive ({error}); fetch it again") from error
+    except (
+        tarfile.TarError,
+        zipfile.BadZipFile,
+        EOFError,
+        zlib.error,
+        UnicodeDecodeError,
+    ) as error:
+        raise InputError(
+            f"{archive.name} is damaged or no archive ({error}); fetch it again"
+        ) from error
     except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
-        raise InputError(f"{archive.name} names one file twice: {error.filename}; it is not unpacked") from error
+        raise InputError(
+            f"{archive.name} names one file twice: {error.filename}; it is not unpacked"
+        ) from error
     except OSError as error:
         if error.errno is not None:
             raise
-        raise InputError(f"{archive.name} is damaged ({error}); fetch it again") from error  # gzip's bad checksum
+        raise InputError(
+            f"{archive.name} is damaged ({error}); fetch it again"
+        ) from error  # gzip's bad checksum
     if not count:
         raise InputError(f"{archive.name} holds no files")
     inside = list(folder.iterdir())
@@ -67,7 +83,9 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
             for info in z.infolist():
                 kind = stat.S_IFMT(info.external_attr >> 16)
                 if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-                    raise InputError(f"{archive.name} holds a link or device, '{info.filename}'; it is not unpacked")
+                    raise InputError(
+                        f"{archive.name} holds a link or device, '{info.filename}'; it is not unpacked"
+                    )
                 _check_name(archive, info.filename)
                 if not info.is_dir():
                     with z.open(info) as stream:
@@ -76,7 +94,9 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     with tarfile.open(archive) as tar:
         for member in tar:
             if not (member.isfile() or member.isdir()):
-                raise InputError(f"{archive.name} holds a link or device, '{member.name}'; it is not unpacked")
+                raise InputError(
+                    f"{archive.name} holds a link or device, '{member.name}'; it is not unpacked"
+                )
             _check_name(archive, member.name)
             if member.isfile():
                 contents = tar.extractfile(member)
@@ -86,13 +106,25 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
 
 def _check_name(archive: Path, name: str) -> None:
     path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts or (path.parts and ":" in path.parts[0]) or "\0" in name:
-        raise InputError(f"{archive.name} holds '{name}', which leads out of its folder; it is not unpacked")
+    if (
+        path.is_absolute()
+        or ".." in path.parts
+        or (path.parts and ":" in path.parts[0])
+        or "\0" in name
+    ):
+        raise InputError(
+            f"{archive.name} holds '{name}', which leads out of its folder; it is not unpacked"
+        )
 
 
 def _target(folder: Path, name: str) -> Path | None:
     """Where the file goes; None for what desktops leave in archives."""
     parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part != "."]
-    if not parts or parts[0] == "__MACOSX" or parts[-1].startswith("._") or parts[-1] == ".DS_Store":
+    if (
+        not parts
+        or parts[0] == "__MACOSX"
+        or parts[-1].startswith("._")
+        or parts[-1] == ".DS_Store"
+    ):
         return None
     return folder.joinpath(*parts)

@@ -1,4 +1,5 @@
-"""Photographs with a COLMAP text model as their truth: cameras and poses of images that were reconstructed together."""
+"""Photographs with a COLMAP text model as their truth: cameras and poses of images that were
+reconstructed together."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..types import Camera
-from .pairs import Pair
+from .pair import Pair
 
 # model -> which of fx, fy, cx, cy, k1, k2, p1, p2, k3 its parameters are; f is fx and fy
 _MODELS = {
@@ -31,8 +32,8 @@ def colmap(model: str | os.PathLike, images: str | os.PathLike) -> Iterator[Pair
         images: folder that the names in ``images.txt`` are relative to.
 
     Raises:
-        InputError: files that are missing or cannot be read, camera models with more than radial-tangential
-            distortion, fewer than two images.
+        InputError: files that are missing or cannot be read, camera models with more than
+            radial-tangential distortion, fewer than two images.
     """
     model, images = Path(model), Path(images)
     cameras = {int(words[0]): _camera(words, model) for words in _lines(model / "cameras.txt")}
@@ -40,7 +41,12 @@ def colmap(model: str | os.PathLike, images: str | os.PathLike) -> Iterator[Pair
     poses = {}
     for words in _lines(model / "images.txt", every=2):
         try:
-            q, t, camera, name = np.array(words[1:5], float), np.array(words[5:8], float), int(words[8]), words[9]
+            q, t, camera, name = (
+                np.array(words[1:5], float),
+                np.array(words[5:8], float),
+                int(words[8]),
+                words[9],
+            )
             poses[name] = (_rotation(q), t, cameras[camera])
         except (ValueError, IndexError, KeyError) as error:
             raise InputError(
@@ -55,9 +61,16 @@ def colmap(model: str | os.PathLike, images: str | os.PathLike) -> Iterator[Pair
         (R1, t1, camera1), (R2, t2, camera2) = poses[a], poses[b]
         R = R2 @ R1.T
         yield Pair(
-            "colmap", model.name, f"{Path(a).stem}-{Path(b).stem}", images / a, images / b, camera1, camera2,
-            R=R, t=t2 - R @ t1,
-        )  # fmt: skip
+            "colmap",
+            model.name,
+            f"{Path(a).stem}-{Path(b).stem}",
+            images / a,
+            images / b,
+            camera1,
+            camera2,
+            R=R,
+            t=t2 - R @ t1,
+        )
 
 
 def _lines(path: Path, every: int = 1) -> list[list[str]]:
@@ -65,12 +78,19 @@ def _lines(path: Path, every: int = 1) -> list[list[str]]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    return [words for line in [ln for ln in lines if not ln.startswith("#")][::every] if (words := line.split())]
+        raise InputError(
+            f"{path} cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
+    return [
+        words
+        for line in [ln for ln in lines if not ln.startswith("#")][::every]
+        if (words := line.split())
+    ]
 
 
 def _camera(words: list[str], model: Path) -> Camera:
-    """``ID MODEL WIDTH HEIGHT PARAMETERS``. COLMAP's pixel centres are at half numbers, ours at whole ones."""
+    """``ID MODEL WIDTH HEIGHT PARAMETERS``. COLMAP's pixel centres are at half numbers, ours at
+    whole ones."""
     if len(words) < 4 or words[1] not in _MODELS:
         raise InputError(
             f"{model / 'cameras.txt'}: '{' '.join(words[:2])}' is not supported; export with one of {', '.join(_MODELS)}"
@@ -81,7 +101,9 @@ def _camera(words: list[str], model: Path) -> Camera:
     except ValueError as error:
         raise InputError(f"{model / 'cameras.txt'}: {error}") from None
     if len(values) != len(names):
-        raise InputError(f"{model / 'cameras.txt'}: {words[1]} takes {len(names)} parameters, not {len(values)}")
+        raise InputError(
+            f"{model / 'cameras.txt'}: {words[1]} takes {len(names)} parameters, not {len(values)}"
+        )
     p = dict(zip(names, values))
     fx, fy = p.get("f", p.get("fx", 0.0)), p.get("f", p.get("fy", 0.0))
     K = np.array([[fx, 0, p["cx"] - 0.5], [0, fy, p["cy"] - 0.5], [0, 0, 1]])

@@ -13,10 +13,10 @@ from tempfile import TemporaryDirectory
 import pooch
 import requests
 
+from .._utils.writing import staged_folder
 from ..errors import InputError
-from ..writing import staged_folder
 from .archives import unpack
-from .pairs import VARIABLE, download_folder
+from .pair import VARIABLE, download_folder
 from .registry import DatasetSpec, Download, check_folder
 
 Progress = Callable[[str, int, int | None], None]  # what, bytes so far, bytes in all if known
@@ -25,20 +25,25 @@ _CHUNK = 1 << 17
 _TIMEOUT_S = 30
 
 
-def fetch(spec: DatasetSpec, data: str | os.PathLike | None = None, progress: Progress | None = None) -> Path:
+def fetch(
+    spec: DatasetSpec, data: str | os.PathLike | None = None, progress: Progress | None = None
+) -> Path:
     """Download what is missing of a data set, check it, and put it in place.
 
-    Files that are there and right are left alone. What was downloaded before an interruption is gone on with.
+    Files that are there and right are left alone. What was downloaded before an interruption is
+    gone on with.
 
     Args:
-        data: the folder to put the data set's folder into; None for ``sfmkit`` in the user's cache folder.
+        data: the folder to put the data set's folder into; None for ``sfmkit`` in the user's cache
+            folder.
         progress: called with (file, bytes so far, bytes in all or None).
 
     Returns:
         the data set's folder.
 
     Raises:
-        InputError: no address answers, or what comes is damaged or something else; nothing of it is kept.
+        InputError: no address answers, or what comes is damaged or something else; nothing of it is
+            kept.
         OutputError: the folder cannot be written.
     """
     pooch.get_logger().setLevel("WARNING")
@@ -113,9 +118,13 @@ def download(item: Download, store: Path, progress: Progress | None = None) -> P
         except requests.RequestException as error:
             failures.append(f"{url}: {_reason(error)}")
         except ValueError:
-            failures.append(f"{url}: its sha256 is not the one expected, {str(item.sha256)[:12]}...")
+            failures.append(
+                f"{url}: its sha256 is not the one expected, {str(item.sha256)[:12]}..."
+            )
     raise InputError(
-        f"{name} could not be fetched: " + "; ".join(failures) + ". Run the command again to go on where it stopped; "
+        f"{name} could not be fetched: "
+        + "; ".join(failures)
+        + ". Run the command again to go on where it stopped; "
         f"off-line, point --data or {VARIABLE} to a copy"
     )
 
@@ -132,7 +141,9 @@ class _Resuming:
         # Transparent compression would make ranges and lengths meaningless.
         headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={done}-"} if done else {})
         with requests.get(url, headers=headers, stream=True, timeout=_TIMEOUT_S) as answer:
-            if answer.status_code == 416:  # nothing after what we have, or the file has changed: begin again
+            if (
+                answer.status_code == 416
+            ):  # nothing after what we have, or the file has changed: begin again
                 self.part.unlink()
                 return self(url, output_file, pooch_)
             answer.raise_for_status()
@@ -148,7 +159,9 @@ class _Resuming:
                     if self.progress is not None:
                         self.progress(url.rsplit("/", 1)[-1], done, total)
         if total is not None and done < total:
-            raise requests.ConnectionError(f"the connection closed after {done:,} of {total:,} bytes")
+            raise requests.ConnectionError(
+                f"the connection closed after {done:,} of {total:,} bytes"
+            )
         shutil.move(self.part, output_file)
 
 

@@ -1,7 +1,8 @@
-"""HPatches' full image sequences: folders ``v_*`` (viewpoint) and ``i_*`` (illumination) of six images and five H.
+"""HPatches' full image sequences: folders ``v_*`` (viewpoint) and ``i_*`` (illumination) of six
+images and five H.
 
-Balntas, Lenc, Vedaldi & Mikolajczyk, "HPatches: a benchmark and evaluation of handcrafted and learned local
-descriptors", CVPR 2017.
+Balntas, Lenc, Vedaldi & Mikolajczyk, "HPatches: a benchmark and evaluation of handcrafted and
+learned local descriptors", CVPR 2017.
 """
 
 from __future__ import annotations
@@ -9,11 +10,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 
-from .pairs import Pair, choose_sequences, data_root, find_image, read_homography
+from .pair import Pair, choose_sequences, data_root, find_image, read_homography
 
 
-def hpatches(data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None) -> Iterator[Pair]:
-    """Pairs 1-2 ... 1-6 of each sequence, with H; arguments and errors as for :func:`~sfmkit.datasets.oxford.oxford`."""
+def hpatches(
+    data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
+) -> Iterator[Pair]:
+    """Pairs 1-2 ... 1-6 of each sequence, with H; arguments and errors as for
+    :func:`~sfmkit.datasets.oxford.oxford`."""
     root = data_root("hpatches", data)
     present = sorted(f.name for f in root.iterdir() if f.is_dir() and f.name[:2] in ("v_", "i_"))
     for sequence in choose_sequences(root, present, sequences):

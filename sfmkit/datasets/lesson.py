@@ -1,4 +1,5 @@
-"""The photographs that the notebooks work on: real ones where they are, bundled or rendered ones otherwise."""
+"""The photographs that the notebooks work on: real ones where they are, bundled or rendered ones
+otherwise."""
 
 from __future__ import annotations
 
@@ -9,18 +10,19 @@ from itertools import islice
 import cv2
 import numpy as np
 
-from ..cameras import parse_intrinsics
 from ..errors import InputError
-from ..images import read_image
+from ..io.cameras import parse_intrinsics
+from ..io.images import read_image
 from ..types import Camera
-from .pairs import Pair
+from .pair import Pair
 from .synthetic import demo_pair
 
 
 def lesson_pair(longest: int = 1000) -> Pair:
     """Two photographs with cameras and true pose, reduced so that a lesson does not wait for them.
 
-    The first two of the fountain sequence where ``SFMKIT_DATA`` or the cache holds it, else the bundled pair.
+    The first two of the fountain sequence where ``SFMKIT_DATA`` or the cache holds it, else the
+    bundled pair.
 
     Args:
         longest: longest side in pixels; the cameras are scaled along.
@@ -39,11 +41,18 @@ def lesson_pair(longest: int = 1000) -> Pair:
 
 
 #: change -> the sequence of the Oxford set that shows it; the rendered ones are named by the change
-CHANGES = {"viewpoint": "graf", "zoom_rotation": "boat", "blur": "bikes", "light": "leuven", "jpeg": "ubc"}
+CHANGES = {
+    "viewpoint": "graf",
+    "zoom_rotation": "boat",
+    "blur": "bikes",
+    "light": "leuven",
+    "jpeg": "ubc",
+}
 
 
 def lesson_planes(change: str, count: int = 5, size_wh: tuple[int, int] = (480, 384)) -> list[Pair]:
-    """Image 1 of a plane with image 2, 3 ... of it, the change growing, and their true homographies.
+    """Image 1 of a plane with image 2, 3 ... of it, the change growing, and their true
+    homographies.
 
     The Oxford set's where ``SFMKIT_DATA`` or the cache holds it, else rendered.
 
@@ -67,7 +76,9 @@ def lesson_planes(change: str, count: int = 5, size_wh: tuple[int, int] = (480, 
         pairs = list(islice(oxford(sequences=[CHANGES[change]]), count))
     except InputError:
         return list(islice(planes([change], size_wh=size_wh), count))
-    return [replace(p, image1=read_image(p.image1).rgb, image2=read_image(p.image2).rgb) for p in pairs]
+    return [
+        replace(p, image1=read_image(p.image1).rgb, image2=read_image(p.image2).rgb) for p in pairs
+    ]
 
 
 def _reduced(rgb: np.ndarray, camera: Camera, longest: int) -> tuple[np.ndarray, Camera]:

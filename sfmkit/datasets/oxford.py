@@ -1,4 +1,5 @@
-"""The Oxford affine covariant features set: eight planar or rotating scenes under growing changes, with homographies.
+"""The Oxford affine covariant features set: eight planar or rotating scenes under growing changes,
+with homographies.
 
 Mikolajczyk et al., "A comparison of affine region detectors", IJCV 2005.
 """
@@ -8,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 
-from .pairs import Pair, choose_sequences, data_root, find_image, read_homography
+from .pair import Pair, choose_sequences, data_root, find_image, read_homography
 
 # The change from image 1 to image 6, in the order of the paper's tables.
 SEQUENCES = {
@@ -23,7 +24,9 @@ SEQUENCES = {
 }
 
 
-def oxford(data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None) -> Iterator[Pair]:
+def oxford(
+    data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
+) -> Iterator[Pair]:
     """Pairs 1-2 ... 1-6 of each sequence, with H.
 
     Args:

@@ -1,8 +1,10 @@
-"""Painted planes under growing changes, with exact homographies: a rendered stand-in for the Oxford sequences.
+"""Painted planes under growing changes, with exact homographies: a rendered stand-in for the Oxford
+sequences.
 
-Every sequence has a first image and five more that differ from it by one change that grows: zoom and rotation, blur,
-viewpoint, light or JPEG compression (Mikolajczyk et al., "A comparison of affine region detectors", IJCV 2005). The plane
-is a formula, so it is evaluated where the pixels look and no image is ever warped.
+Every sequence has a first image and five more that differ from it by one change that grows: zoom
+and rotation, blur, viewpoint, light or JPEG compression (Mikolajczyk et al., "A comparison of
+affine region detectors", IJCV 2005). The plane is a formula, so it is evaluated where the pixels
+look and no image is ever warped.
 """
 
 from __future__ import annotations
@@ -14,10 +16,10 @@ from difflib import get_close_matches
 import numpy as np
 
 from ..errors import InputError
-from . import materials as m
-from .pairs import Pair
-from .raycasting import in_parallel
-from .surfaces import Material, unit
+from .pair import Pair
+from .rendering import materials as m
+from .rendering.raycasting import in_parallel
+from .rendering.surfaces import Material, unit
 from .synthetic import check_size, photograph
 
 Array = np.ndarray
@@ -34,7 +36,8 @@ class View:
 
     Attributes:
         zoom: size of things in the image, relative to the first.
-        roll, yaw, pitch: degrees about the line of sight, and about the plane's upright and level axes.
+        roll, yaw, pitch: degrees about the line of sight, and about the plane's upright and level
+            axes.
         shift: metres on the plane by which the centre of the picture moves.
         blur, exposure, jpeg_quality: as in :func:`sfmkit.datasets.synthetic.render`.
     """
@@ -49,7 +52,8 @@ class View:
     jpeg_quality: int | None = None
 
     def pixels_from_plane(self, size_wh: tuple[int, int]) -> Array:
-        """(3, 3) homography from (u, v) in metres on the plane to pixels: ``K [r1 r2 t]`` (Hartley and Zisserman 8.1)."""
+        """(3, 3) homography from (u, v) in metres on the plane to pixels: ``K [r1 r2 t]`` (Hartley
+        and Zisserman 8.1)."""
         w, h = size_wh
         f = FOCAL * w
         K = np.array([[f, 0, (w - 1) / 2], [0, f, (h - 1) / 2], [0, 0, 1]])
@@ -96,15 +100,22 @@ SEQUENCES: dict[str, tuple[Material, tuple[View, ...]]] = {
     ),
     "blur": (
         m.cobbles,
-        tuple(View(blur=b, shift=(0.02 * b, -0.01), roll=0.3 * b) for b in (1.2, 1.9, 2.7, 3.6, 4.6)),
+        tuple(
+            View(blur=b, shift=(0.02 * b, -0.01), roll=0.3 * b) for b in (1.2, 1.9, 2.7, 3.6, 4.6)
+        ),
     ),
     "viewpoint": (
         _BRICKS,
-        tuple(View(yaw=a, pitch=-0.15 * a, zoom=0.95, shift=(-0.003 * a, 0)) for a in (18, 30, 40, 50, 58)),
+        tuple(
+            View(yaw=a, pitch=-0.15 * a, zoom=0.95, shift=(-0.003 * a, 0))
+            for a in (18, 30, 40, 50, 58)
+        ),
     ),
     "light": (
         _WALL,
-        tuple(View(exposure=e, shift=(0.03, 0.02), roll=-0.8) for e in (0.6, 0.38, 0.25, 0.16, 0.1)),
+        tuple(
+            View(exposure=e, shift=(0.03, 0.02), roll=-0.8) for e in (0.6, 0.38, 0.25, 0.16, 0.1)
+        ),
     ),
     "jpeg": (_GATE, tuple(View(jpeg_quality=q) for q in (40, 20, 12, 7, 3))),
 }
@@ -117,9 +128,15 @@ def homography(first: View, other: View, size_wh: tuple[int, int]) -> Array:
 
 
 def photograph_plane(
-    material: Material, view: View, *, size_wh: tuple[int, int] = (800, 640), noise: float = 1.0, seed: int = 0
+    material: Material,
+    view: View,
+    *,
+    size_wh: tuple[int, int] = (800, 640),
+    noise: float = 1.0,
+    seed: int = 0,
 ) -> Array:
-    """(H, W, 3) uint8 image of a plane of `material`, 2 x 2 rays a pixel; InputError for a size that is none."""
+    """(H, W, 3) uint8 image of a plane of `material`, 2 x 2 rays a pixel; InputError for a size
+    that is none."""
     w, h = check_size(size_wh)
     G = np.linalg.inv(view.pixels_from_plane(size_wh))
     area = abs(np.linalg.det(G))
@@ -128,7 +145,9 @@ def photograph_plane(
 
     def part(top: int) -> None:
         rows = np.arange(top, min(top + ROWS, h))
-        x, y = np.meshgrid((np.arange(w)[:, None] + quarter).ravel(), (rows[:, None] + quarter).ravel())
+        x, y = np.meshgrid(
+            (np.arange(w)[:, None] + quarter).ravel(), (rows[:, None] + quarter).ravel()
+        )
         u, v, q = (G[i, 0] * x.ravel() + G[i, 1] * y.ravel() + G[i, 2] for i in range(3))
         # the area on the plane of a pixel's area is the Jacobian det G / q^3
         footprint = 0.5 * np.sqrt(area / np.abs(q) ** 3)
@@ -144,7 +163,11 @@ def photograph_plane(
 
 
 def planes(
-    sequences: Iterable[str] | None = None, *, size_wh: tuple[int, int] = (800, 640), noise: float = 1.0, seed: int = 0
+    sequences: Iterable[str] | None = None,
+    *,
+    size_wh: tuple[int, int] = (800, 640),
+    noise: float = 1.0,
+    seed: int = 0,
 ) -> Iterator[Pair]:
     """Pairs 1-2 ... 1-6 of each sequence, rendered as they are asked for, with the exact H.
 
@@ -165,5 +188,7 @@ def planes(
         material, views = SEQUENCES[name]
         first = photograph_plane(material, View(), size_wh=size_wh, noise=noise, seed=6 * seed)
         for k, view in enumerate(views, start=2):
-            image = photograph_plane(material, view, size_wh=size_wh, noise=noise, seed=6 * seed + k - 1)
+            image = photograph_plane(
+                material, view, size_wh=size_wh, noise=noise, seed=6 * seed + k - 1
+            )
             yield Pair("planes", name, f"1-{k}", first, image, H=homography(View(), view, size_wh))

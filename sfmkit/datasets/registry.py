@@ -1,8 +1,8 @@
 """The public data sets: where they come from, on what terms, and what their files must hold.
 
-No home page publishes checksums, so the contents are pinned in ``checksums.json`` from copies in use: a photograph by
-its decoded pixels where the format is lossless (a PNG of it is the same photograph), by its bytes where it is not, a
-text file by its words.
+No home page publishes checksums, so the contents are pinned in ``checksums.json`` from copies in
+use: a photograph by its decoded pixels where the format is lossless (a PNG of it is the same
+photograph), by its bytes where it is not, a text file by its words.
 """
 
 from __future__ import annotations
@@ -68,16 +68,21 @@ class DatasetSpec:
 
     @property
     def pins(self) -> Mapping[str, str]:
-        """Relative path without suffix for images, with it for other files -> ``pixels:``, ``bytes:`` or ``words:`` sha256."""
+        """Relative path without suffix for images, with it for other files -> ``pixels:``,
+        ``bytes:`` or ``words:`` sha256."""
         return _checksums().get(self.name, {})
 
 
 @cache
 def _checksums() -> dict[str, dict[str, str]]:
-    return json.loads(files("sfmkit.datasets").joinpath("checksums.json").read_text(encoding="utf-8"))
+    return json.loads(
+        files("sfmkit.datasets").joinpath("checksums.json").read_text(encoding="utf-8")
+    )
 
 
-_FOUNTAIN = [f"images/{k:04d}.jpg" for k in range(11)] + [f"gt_dense_cameras/{k:04d}.jpg.camera" for k in range(11)]
+_FOUNTAIN = [f"images/{k:04d}.jpg" for k in range(11)] + [
+    f"gt_dense_cameras/{k:04d}.jpg.camera" for k in range(11)
+]
 
 DATASETS: Mapping[str, DatasetSpec] = {
     spec.name: spec
@@ -109,7 +114,8 @@ DATASETS: Mapping[str, DatasetSpec] = {
                         f"{_HPATCHES_HOME}/hpatches-sequences-release.tar.gz",
                         f"{_HPATCHES}/hpatches-sequences-release.zip",
                     ),
-                    max_files=3000, max_bytes=4000 * MB,
+                    max_files=3000,
+                    max_bytes=4000 * MB,
                 ),
             ),
         ),
@@ -134,12 +140,14 @@ DATASETS: Mapping[str, DatasetSpec] = {
             "OpenDroneMap contributors: odm_data_toledo",
             15,
             tuple(
-                Download((f"{_TOLEDO}/1JI_{k:04d}.JPG",), f"toledo-p3pro/1JI_{k:04d}.JPG", archive=False)
+                Download(
+                    (f"{_TOLEDO}/1JI_{k:04d}.JPG",), f"toledo-p3pro/1JI_{k:04d}.JPG", archive=False
+                )
                 for k in range(64, 69)
             ),
         ),
     )
-}  # fmt: skip
+}
 
 
 def dataset_spec(name: str) -> DatasetSpec:
@@ -149,7 +157,9 @@ def dataset_spec(name: str) -> DatasetSpec:
         InputError: there is none.
     """
     if name not in DATASETS:
-        raise InputError(f"unknown data set '{name}'; `sfmkit data list` shows them: {', '.join(DATASETS)}")
+        raise InputError(
+            f"unknown data set '{name}'; `sfmkit data list` shows them: {', '.join(DATASETS)}"
+        )
     return DATASETS[name]
 
 
@@ -170,10 +180,13 @@ def fingerprint(file: Path) -> str:
     """
     suffix = file.suffix.lower()
     if suffix in _LOSSLESS:
-        from ..images import read_image
+        from ..io.images import read_image
 
         image = read_image(file)
-        return "pixels:" + hashlib.sha256(str(image.size_wh).encode() + image.rgb.tobytes()).hexdigest()
+        return (
+            "pixels:"
+            + hashlib.sha256(str(image.size_wh).encode() + image.rgb.tobytes()).hexdigest()
+        )
     data = file.read_bytes()
     if suffix in _LOSSY:
         return "bytes:" + hashlib.sha256(data).hexdigest()
@@ -185,7 +198,8 @@ def check_folder(spec: DatasetSpec, root: Path, part: str = "") -> list[str]:
 
     Args:
         root: the folder of the data set, or of its `part`.
-        part: path of the folder or file below the data set's folder that is looked at; empty for all of it.
+        part: path of the folder or file below the data set's folder that is looked at; empty for
+            all of it.
     """
     files_in = [root] if root.is_file() else sorted(f for f in root.rglob("*") if f.is_file())
     have = {pin_name(PurePath(part) / f.relative_to(root)): f for f in files_in}

@@ -1,7 +1,8 @@
-"""The EPFL multi-view set (fountain-P11, Herz-Jesu-P8, ...): undistorted photographs with cameras from laser scans.
+"""The EPFL multi-view set (fountain-P11, Herz-Jesu-P8, ...): undistorted photographs with cameras
+from laser scans.
 
-Strecha, von Hansen, Van Gool, Fua & Thoennessen, "On benchmarking camera calibration and multi-view stereo for high
-resolution imagery", CVPR 2008.
+Strecha, von Hansen, Van Gool, Fua & Thoennessen, "On benchmarking camera calibration and multi-view
+stereo for high resolution imagery", CVPR 2008.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from ..cameras import parse_intrinsics, read_truth
 from ..errors import InputError
+from ..io.cameras import parse_intrinsics, read_truth
 from ..types import Camera
-from .pairs import Pair, choose_sequences, data_root, neighbours, photographs
+from .pair import Pair, choose_sequences, data_root, neighbours, photographs
 
 
 def strecha(
@@ -26,7 +27,8 @@ def strecha(
     A sequence is a folder with ``images/`` and ``gt_dense_cameras/<image>.camera``.
 
     Raises:
-        InputError: the data set, a sequence or a camera is missing or unreadable, or `step` is not positive.
+        InputError: the data set, a sequence or a camera is missing or unreadable, or `step` is not
+            positive.
     """
     if step < 1:
         raise InputError(f"step must be a whole number of at least 1, not {step}")
@@ -40,8 +42,16 @@ def strecha(
                 one, two = (_truth_of(folder, image) for image in (a, b))
                 R, t = read_truth(f"{one},{two}")
                 yield Pair(
-                    "strecha", sequence, f"{a.stem}-{b.stem}", a, b, _camera(one, a), _camera(two, b), R=R, t=t
-                )  # fmt: skip
+                    "strecha",
+                    sequence,
+                    f"{a.stem}-{b.stem}",
+                    a,
+                    b,
+                    _camera(one, a),
+                    _camera(two, b),
+                    R=R,
+                    t=t,
+                )
 
 
 def _truth_of(folder: Path, image: Path) -> Path:

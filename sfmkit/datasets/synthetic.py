@@ -1,9 +1,11 @@
-"""Rendered pairs of photographs whose answer is known exactly: cameras, pose, and the point behind every pixel.
+"""Rendered pairs of photographs whose answer is known exactly: cameras, pose, and the point behind
+every pixel.
 
     >>> pair = render("courtyard", size_wh=(1024, 768), noise=1.5)
     >>> x2, visible = pair.transfer(np.array([[512.0, 300.0]]))
 
-The geometry is analytic, so depths and correspondences are exact to rounding; only the pictures are sampled.
+The geometry is analytic, so depths and correspondences are exact to rounding; only the pictures are
+sampled.
 """
 
 from __future__ import annotations
@@ -25,13 +27,20 @@ from scipy.ndimage import gaussian_filter
 
 from ..errors import InputError
 from ..types import Camera
-from .raycasting import EXACT, geometry, radiance, rays
-from .scenes import SCENES, Pose, Scene
-from .textures import srgb
+from .rendering.raycasting import EXACT, geometry, radiance, rays
+from .rendering.scenes import SCENES, Pose, Scene
+from .rendering.textures import srgb
 
 GAIN = 0.68  # of the sensor at exposure 1: the brightest matt surface in the sun stays below white
 OCCLUSION_TOLERANCE = 1e-6  # relative difference of depth
-DEMO = {"scene": "courtyard", "size_wh": (1600, 1200), "blur": 0.8, "noise": 1.2, "jpeg_quality": 92, "seed": 0}
+DEMO = {
+    "scene": "courtyard",
+    "size_wh": (1600, 1200),
+    "blur": 0.8,
+    "noise": 1.2,
+    "jpeg_quality": 92,
+    "seed": 0,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +51,8 @@ class SyntheticPair:
         image1, image2: (H, W, 3) uint8 sRGB.
         camera1, camera2: the true cameras.
         R, t: (3, 3) and (3,) float64 true pose, ``X2 = R X1 + t``, t in metres.
-        depth1, depth2: (H, W) float64 depth z of the point at every pixel's centre, metres; inf for sky.
+        depth1, depth2: (H, W) float64 depth z of the point at every pixel's centre, metres; inf for
+            sky.
         points1: (H, W, 3) float64 that point in the frame of camera 1; NaN for sky.
         scene: what was rendered.
         settings: the arguments of :func:`render` that made the pictures.
@@ -61,8 +71,11 @@ class SyntheticPair:
     settings: dict[str, Any]
 
     def depth_at(self, view: int, x: np.ndarray) -> np.ndarray:
-        """(N,) depth of what image `view` (1 or 2) sees at pixels `x` (N, 2), which need not be whole; inf for sky."""
-        camera, pose = {1: (self.camera1, self.scene.pose1), 2: (self.camera2, self.scene.pose2)}[view]
+        """(N,) depth of what image `view` (1 or 2) sees at pixels `x` (N, 2), which need not be
+        whole; inf for sky."""
+        camera, pose = {1: (self.camera1, self.scene.pose1), 2: (self.camera2, self.scene.pose2)}[
+            view
+        ]
         return self.scene.cast(*rays(camera.K, pose, _pixels(x).T), EXACT)[0]
 
     def transfer(self, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,14 +85,18 @@ class SyntheticPair:
             x1: (N, 2) pixels of image 1, which need not be whole.
 
         Returns:
-            x2: (N, 2) float64 pixels, NaN for points behind camera 2. Sky is transferred as a point at infinity.
+            x2: (N, 2) float64 pixels, NaN for points behind camera 2. Sky is transferred as a point
+                at infinity.
             visible: (N,) bool, False outside image 2 or behind something nearer.
         """
         x1 = _pixels(x1)
         z1 = self.depth_at(1, x1)
         sky = np.isinf(z1)
         ray = np.column_stack([x1, np.ones(len(x1))]) @ np.linalg.inv(self.camera1.K).T
-        X2 = np.where(sky, 1.0, z1)[:, None] * ray @ self.R.T + np.where(sky, 0.0, 1.0)[:, None] * self.t
+        X2 = (
+            np.where(sky, 1.0, z1)[:, None] * ray @ self.R.T
+            + np.where(sky, 0.0, 1.0)[:, None] * self.t
+        )
         x2 = np.full_like(x1, np.nan)
         ahead = X2[:, 2] > 0
         x2[ahead] = (X2[ahead] @ self.camera2.K.T)[:, :2] / X2[ahead, 2:]
@@ -116,7 +133,8 @@ def render(
     seed: int = 0,
     supersample: int = 2,
 ) -> SyntheticPair:
-    """Two photographs of a scene, with the answer. The same arguments give the same bits on the same machine.
+    """Two photographs of a scene, with the answer. The same arguments give the same bits on the
+    same machine.
 
     Args:
         scene: a name in :data:`SCENES`, or a scene of one's own.
@@ -146,7 +164,11 @@ def render(
     images, depths, points = [], [], []
     for view, pose in enumerate((scene.pose1, scene.pose2)):
         light = radiance(scene, pose, K, (w, h), supersample)
-        images.append(photograph(light, blur, noise, exposure, jpeg_quality, np.random.default_rng((seed, view))))
+        images.append(
+            photograph(
+                light, blur, noise, exposure, jpeg_quality, np.random.default_rng((seed, view))
+            )
+        )
         depth, X = geometry(scene, pose, K, (w, h))
         depths.append(depth)
         points.append(X)
@@ -160,7 +182,9 @@ def render(
         "supersample": supersample,
     }
     camera = Camera(K, (w, h))
-    return SyntheticPair(images[0], images[1], camera, camera, R, t, depths[0], depths[1], points[0], scene, settings)
+    return SyntheticPair(
+        images[0], images[1], camera, camera, R, t, depths[0], depths[1], points[0], scene, settings
+    )
 
 
 @cache
@@ -180,9 +204,15 @@ def relative_pose(pose1: Pose, pose2: Pose) -> tuple[np.ndarray, np.ndarray]:
 
 
 def photograph(
-    light: np.ndarray, blur: float, noise: float, exposure: float, jpeg_quality: int | None, rng: np.random.Generator
+    light: np.ndarray,
+    blur: float,
+    noise: float,
+    exposure: float,
+    jpeg_quality: int | None,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """What a camera makes of linear light (H, W, 3): blur, exposure, sRGB curve, noise, 8 bits, JPEG."""
+    """What a camera makes of linear light (H, W, 3): blur, exposure, sRGB curve, noise, 8 bits,
+    JPEG."""
     if blur > 0:
         light = gaussian_filter(light, (blur, blur, 0), mode="nearest")
     levels = 255 * srgb(GAIN * exposure * light)
@@ -204,14 +234,19 @@ def _pixels(x: np.ndarray) -> np.ndarray:
 
 
 def check_size(size_wh: tuple[int, int]) -> tuple[int, int]:
-    """Width and height as they came; InputError unless they are two whole numbers of at least 16 pixels."""
+    """Width and height as they came; InputError unless they are two whole numbers of at least 16
+    pixels."""
     if not isinstance(size_wh, Sequence) or len(size_wh) != 2:
         raise InputError(f"size_wh must be (width, height) in pixels, not {size_wh!r}")
     return _whole("size_wh", size_wh[0], 16, 20_000), _whole("size_wh", size_wh[1], 16, 20_000)
 
 
 def _whole(name: str, value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, np.integer))
+        or not low <= value <= high
+    ):
         raise InputError(f"{name} must be whole and between {low} and {high}, not {value!r}")
     return int(value)
 
@@ -225,7 +260,8 @@ def _positive(name: str, value: float, zero: bool = False) -> None:
 
 
 def demo_pair() -> tuple[Path, Path, Path]:
-    """Paths of the bundled pair of photographs and of its truth (JSON; see :meth:`SyntheticPair.truth`)."""
+    """Paths of the bundled pair of photographs and of its truth (JSON; see
+    :meth:`SyntheticPair.truth`)."""
     folder = Path(str(files("sfmkit.datasets") / "demo"))
     return folder / "image1.jpg", folder / "image2.jpg", folder / "truth.json"
 
@@ -243,8 +279,12 @@ def write_demo(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m sfmkit.datasets.synthetic", description=write_demo.__doc__)
-    parser.add_argument("--write-demo", metavar="DIR", type=Path, required=True, help="render it into DIR")
+    parser = argparse.ArgumentParser(
+        prog="python -m sfmkit.datasets.synthetic", description=write_demo.__doc__
+    )
+    parser.add_argument(
+        "--write-demo", metavar="DIR", type=Path, required=True, help="render it into DIR"
+    )
     write_demo(parser.parse_args().write_demo)
 
 

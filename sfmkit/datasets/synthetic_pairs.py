@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from .pairs import Pair
+from .pair import Pair
 from .synthetic import SCENES, render
 
 

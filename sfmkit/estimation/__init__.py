@@ -1,4 +1,5 @@
-"""Stage 3: robust estimation of H, F and E over interchangeable back ends, and the verdict on what they mean."""
+"""Stage 3: robust estimation of H, F and E over interchangeable back ends, and the verdict on what
+they mean."""
 
 from .adjust import Adjustment, adjust
 from .result import RobustModel

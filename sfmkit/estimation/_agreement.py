@@ -1,8 +1,9 @@
 """How well a match agrees with the matches beside it: what the matches alone tell of themselves.
 
-A surface carries neighbouring points to neighbouring points; wrong matches land anywhere. So the distance in one image
-between matches that are neighbours in the other is small for right ones, wherever they are and however the camera moved.
-The same idea decides in Bian et al., GMS, CVPR 2017; here it only says which samples are tried first.
+A surface carries neighbouring points to neighbouring points; wrong matches land anywhere. So the
+distance in one image between matches that are neighbours in the other is small for right ones,
+wherever they are and however the camera moved. The same idea decides in Bian et al., GMS, CVPR
+2017; here it only says which samples are tried first.
 """
 
 from __future__ import annotations
@@ -14,15 +15,18 @@ from torch import Tensor
 
 _NEIGHBOURS = 12
 _SUPPORT = 2  # neighbours that must have come along: one alone is too often chance
-_APART = 4.0  # of the threshold: what is nearer is likely to be the same feature, found again, and no second witness
+# of the threshold: what is nearer is likely to be the same feature, found again, and no second
+# witness
+_APART = 4.0
 
 
 def disagreement(x1: Tensor, x2: Tensor, threshold_px: float) -> Tensor:
-    """(N,) how far a match's neighbours in one image are from it in the other, pixels; infinite where it has none.
+    """(N,) how far a match's neighbours in one image are from it in the other, pixels; infinite
+    where it has none.
 
-    The second smallest distance among the 12 nearest that are not copies, in both directions, the larger of the two.
-    On fountain-P11, four views apart, 9 % of the matches are right; of the tenth with the least disagreement 60 to 70 %
-    are, of the tenth with the least distance ratio 35 %.
+    The second smallest distance among the 12 nearest that are not copies, in both directions, the
+    larger of the two. On fountain-P11, four views apart, 9 % of the matches are right; of the tenth
+    with the least disagreement 60 to 70 % are, of the tenth with the least distance ratio 35 %.
 
     Args:
         x1, x2: (N, 2) pixels.

@@ -1,8 +1,10 @@
-"""What the robust search needs to know about E, F and H: how to solve samples, score models and improve them.
+"""What the robust search needs to know about E, F and H: how to solve samples, score models and
+improve them.
 
-Scores are computed for blocks of models times matches in float32, on coordinates that are centred and divided by one
-common length, so that distances stay proportional to pixels. A Sampson distance is then two matrix products: the
-residual is linear in the nine entries of F, its squared gradient linear in twelve products of them.
+Scores are computed for blocks of models times matches in float32, on coordinates that are centred
+and divided by one common length, so that distances stay proportional to pixels. A Sampson distance
+is then two matrix products: the residual is linear in the nine entries of F, its squared gradient
+linear in twelve products of them.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ _POLISH = ((4.0, 4), (1.5, 20))  # thresholds, relative, and steps of the last f
 def quick_scores(v: Tensor, weights: Tensor | None) -> Tensor:
     """(M,) summed scores of (M, N) squared residuals over the squared threshold, weighted by (N,).
 
-    With ``a = 1 - v``, ``a^4 (1 + 2 a) / 3`` follows the marginal score to 0.011 at a fraction of its price.
+    With ``a = 1 - v``, ``a^4 (1 + 2 a) / 3`` follows the marginal score to 0.011 at a fraction of
+    its price.
     """
     a = torch.rsub(v, 1).relu_()
     b = a * a
@@ -81,10 +84,12 @@ class Problem(ABC):
 
     @abstractmethod
     def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
-        """The (M, 3, 3) models after some steps of reweighted fitting to some matches; scale times the threshold."""
+        """The (M, 3, 3) models after some steps of reweighted fitting to some matches; scale times
+        the threshold."""
 
     def polish(self, model: Tensor) -> Tensor:
-        """The model fitted to all matches, the threshold narrowing, so that it is not caught where it started."""
+        """The model fitted to all matches, the threshold narrowing, so that it is not caught where
+        it started."""
         for scale, steps in _POLISH:
             model = self.improve(model[None], ALL, steps, scale)[0]
         return model
@@ -128,7 +133,10 @@ class _Epipolar(Problem):
     def squares(self, models: Tensor, rows: Rows) -> Tensor:
         F = unit_norm(self.fundamental(models)) * (self.length / self.threshold)
         F = F.float()
-        gradient = torch.cat((_gram(F[:, :2]), _gram(F.mT[:, :2])), 1) * (self.threshold / self.length) ** 2
+        gradient = (
+            torch.cat((_gram(F[:, :2]), _gram(F.mT[:, :2])), 1)
+            * (self.threshold / self.length) ** 2
+        )
         v = F.flatten(1) @ self.products[:, rows]
         return v.square_().div_((gradient @ self.quadratics[:, rows]).clamp_(min=1e-20))
 
@@ -156,7 +164,15 @@ class EssentialProblem(_Epipolar):
 
     sample_size = 5
 
-    def __init__(self, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold: float, weights: Tensor | None):
+    def __init__(
+        self,
+        x1: Tensor,
+        x2: Tensor,
+        K1: Tensor,
+        K2: Tensor,
+        threshold: float,
+        weights: Tensor | None,
+    ):
         super().__init__(x1, x2, threshold, weights)
         self.xn1, self.xn2 = _normalize(x1, K1), _normalize(x2, K2)
         self.K1i, self.K2i = inverse_intrinsics(K1), inverse_intrinsics(K2)
@@ -175,18 +191,24 @@ class EssentialProblem(_Epipolar):
         return self.left @ models @ self.right
 
     def final_scores(self, models: Tensor) -> Tensor:
-        """Of the four poses that E allows the best, counting only the matches that it puts in front of both cameras.
+        """Of the four poses that E allows the best, counting only the matches that it puts in front
+        of both cameras.
 
-        The distances alone cannot tell the true E of a plane from others that fit its matches as well, or better.
+        The distances alone cannot tell the true E of a plane from others that fit its matches as
+        well, or better.
 
-        With ``X2 = d2 h2 = d1 R h1 + t``, both depths are ratios of three bilinear forms, ``p = h2^T R h1``,
-        ``q = t^T R h1`` and ``s = t^T h2``, of which the twisted pair of R changes only p, to ``2 q s - p``.
+        With ``X2 = d2 h2 = d1 R h1 + t``, both depths are ratios of three bilinear forms,
+        ``p = h2^T R h1``, ``q = t^T R h1`` and ``s = t^T h2``, of which the twisted pair of R
+        changes only p, to ``2 q s - p``.
         """
         R, t = (a.float() for a in one_pose(models))
         p = R.flatten(1) @ self.rows
         q, s = (t[:, None] @ R).squeeze(1) @ self.h1, t @ self.h2
         square = self.squares(models, ALL)
-        score = [quick_scores(square.masked_fill(~front, 1), self.weights32) for front in self._in_front(p, q, s)]
+        score = [
+            quick_scores(square.masked_fill(~front, 1), self.weights32)
+            for front in self._in_front(p, q, s)
+        ]
         return torch.stack(score).amax(0) / len(self.x1)
 
     def _in_front(self, p: Tensor, q: Tensor, s: Tensor) -> Iterator[Tensor]:
@@ -202,12 +224,15 @@ class EssentialProblem(_Epipolar):
         m = self.matches
         w = None if m.weights is None else m.weights[rows]
         m = _Matches(m.h1[:, rows], m.h2[:, rows], m.S1, m.S2, w)
-        R, t, *_ = _minimise(*one_pose(models), m, _Objective("marginal", scale * self.threshold), steps)
+        R, t, *_ = _minimise(
+            *one_pose(models), m, _Objective("marginal", scale * self.threshold), steps
+        )
         return hat(t) @ R
 
 
 class FundamentalProblem(_Epipolar):
-    """F by seven points; improved by the eight-point algorithm, reweighted for the marginal loss of Sampson distances."""
+    """F by seven points; improved by the eight-point algorithm, reweighted for the marginal loss of
+    Sampson distances."""
 
     sample_size = 7
 
@@ -243,7 +268,8 @@ def _sampson_parts(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class HomographyProblem(Problem):
-    """H by four points; improved by the DLT, reweighted for the marginal loss of Sampson distances."""
+    """H by four points; improved by the DLT, reweighted for the marginal loss of Sampson
+    distances."""
 
     sample_size = 4
 
@@ -253,7 +279,10 @@ class HomographyProblem(Problem):
 
     def squares(self, models: Tensor, rows: Rows) -> Tensor:
         H = (self.T2 @ models @ torch.linalg.inv(self.T1)).float()
-        return _homography_sampson(H, self.y1[rows], self.y2[rows]) * (self.length / self.threshold) ** 2
+        return (
+            _homography_sampson(H, self.y1[rows], self.y2[rows])
+            * (self.length / self.threshold) ** 2
+        )
 
     def exact(self, model: Tensor) -> Tensor:
         return _homography_sampson(model, self.x1, self.x2)

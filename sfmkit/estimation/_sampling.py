@@ -1,4 +1,5 @@
-"""Minimal samples: in order of promise, weighted by what is known about each match, and repeatable."""
+"""Minimal samples: in order of promise, weighted by what is known about each match, and
+repeatable."""
 
 from __future__ import annotations
 
@@ -9,17 +10,21 @@ from torch import Tensor
 
 _POOLS = (100, 300, 1000, 3000, None)  # matches, best first, that the rounds draw from in turn
 _GRADES = 8  # of each measure of promise, within each group of matches
-_SHRINK = 2.0  # matches of the average kind that each kind is credited with: a few do not make a rate
+_SHRINK = (
+    2.0  # matches of the average kind that each kind is credited with: a few do not make a rate
+)
 _SLIM = 1e-3  # chance of the worst kind: a wrong model must not rule matches out for good
 
 
 class Sampler:
-    """Draws minimal samples of distinct matches, and knows how likely it has missed a good one so far.
+    """Draws minimal samples of distinct matches, and knows how likely it has missed a good one so
+    far.
 
-    PROSAC's idea on batches: some rounds draw from the most promising matches only, others from all. Within a round
-    every match has its own probability, learned from how the best model so far fares with its like. Counting what has
-    been tried, a round of n samples has missed every all-inlier sample with probability ``(1 - p^k)^n``, where p is the
-    probability that one draw is an inlier.
+    PROSAC's idea on batches: some rounds draw from the most promising matches only, others from
+    all. Within a round every match has its own probability, learned from how the best model so far
+    fares with its like. Counting what has been tried, a round of n samples has missed every
+    all-inlier sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is
+    an inlier.
 
     Source: Chum & Matas, "Matching with PROSAC - progressive sample consensus", CVPR 2005.
     """
@@ -41,7 +46,11 @@ class Sampler:
             groups: (n,) int64, such as the operator that found a match.
         """
         self.size, self.generator = size, generator
-        self.weights = torch.ones(n, dtype=torch.float64) if weights is None else weights.detach().double().cpu()
+        self.weights = (
+            torch.ones(n, dtype=torch.float64)
+            if weights is None
+            else weights.detach().double().cpu()
+        )
         self.prior = self.weights
         self.orders: list[Tensor] = []
         self.kind = None if groups is None else groups.detach().cpu()
@@ -53,8 +62,10 @@ class Sampler:
         """Follow the order of one more measure of promise, in turn with those known.
 
         Args:
-            quality: (n,) the smaller the more promising; NaN goes last. Where all are NaN or infinite there is no
-                order to follow: the arbitrary one would confine the search to the first few matches.
+            quality: (n,) the smaller the more promising; NaN goes last. Where all are NaN or
+                infinite there is no
+                order to follow: the arbitrary one would confine the search to the first few
+                    matches.
         """
         q = quality.detach().double().cpu()
         if not bool(torch.isfinite(q).any()):
@@ -66,21 +77,30 @@ class Sampler:
         self.kind = grade if self.kind is None else self.kind * _GRADES + grade
 
     def draw(self, count: int) -> Tensor:
-        """(about count, size) int64: one round. Samples in which a match came up twice are left out."""
+        """(about count, size) int64: one round. Samples in which a match came up twice are left
+        out."""
         p = self._probabilities()
         self.rounds.append((count, p))
         drawn = p.nonzero().squeeze(1)
-        if len(drawn) <= 512:  # exact draws without replacement: the shortest of exponential waiting times
-            wait = torch.empty(count, len(drawn), dtype=torch.float64).exponential_(generator=self.generator)
+        if (
+            len(drawn) <= 512
+        ):  # exact draws without replacement: the shortest of exponential waiting times
+            wait = torch.empty(count, len(drawn), dtype=torch.float64).exponential_(
+                generator=self.generator
+            )
             return drawn[(p[drawn] / wait).topk(self.size, dim=1).indices]
         cumulative = p.cumsum(0)
-        u = torch.rand(count, self.size, dtype=torch.float64, generator=self.generator) * cumulative[-1]
+        u = (
+            torch.rand(count, self.size, dtype=torch.float64, generator=self.generator)
+            * cumulative[-1]
+        )
         samples = torch.searchsorted(cumulative, u, right=True).clamp(max=len(p) - 1)
         ascending = samples.sort(dim=1).values
         return samples[(ascending[:, 1:] != ascending[:, :-1]).all(1)]
 
     def audience(self, count: int) -> Tensor:
-        """(count,) or fewer, int64: matches drawn like those of the last round, each at most once."""
+        """(count,) or fewer, int64: matches drawn like those of the last round, each at most
+        once."""
         p = self.rounds[-1][1]
         wait = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
         return (p / wait).topk(min(count, int((p > 0).sum()))).indices
@@ -96,7 +116,8 @@ class Sampler:
         return p / p.sum()
 
     def learn(self, inliers: Tensor) -> None:
-        """Draw each kind of match (operator, grades of promise) in proportion to its share of inliers under a model."""
+        """Draw each kind of match (operator, grades of promise) in proportion to its share of
+        inliers under a model."""
         if self.kind is None:
             return
         inliers = inliers.cpu().double()

@@ -17,7 +17,9 @@ from ..types import Correspondences, TwoView
 from .two_view import undistorted_pixels
 
 LOSS: Loss = "cauchy"
-LOSS_SCALE_PX = 0.5  # as in the refinement of E before: the residuals of good matches are about 0.3 px
+LOSS_SCALE_PX = (
+    0.5  # as in the refinement of E before: the residuals of good matches are about 0.3 px
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,8 @@ class Adjustment:
     Attributes:
         view: with the refined pose, its covariance and standard deviations.
         rows: (M,) int64 correspondences that took part, the inliers.
-        covariance: (M, 3, 3) of their points, squared baselines, the uncertainty of the pose included.
+        covariance: (M, 3, 3) of their points, squared baselines, the uncertainty of the pose
+            included.
         sigma_px: standard deviation of one pixel coordinate, estimated from the residuals.
         iterations: linearisations until convergence.
     """
@@ -40,9 +43,11 @@ class Adjustment:
 
 
 def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
-    """Bundle adjustment of a geometry over its inliers; None where there is no translation to adjust.
+    """Bundle adjustment of a geometry over its inliers; None where there is no translation to
+    adjust.
 
-    The inliers stay as they are. Where the matches leave the pose undetermined in some direction, or are too few to
+    The inliers stay as they are. Where the matches leave the pose undetermined in some direction,
+    or are too few to
     tell the noise, the geometry comes back as None too: it stands as it was, without a covariance.
     """
     if view.R is None or view.t is None:
@@ -51,7 +56,9 @@ def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
     x1, x2 = undistorted_pixels(corr, view.camera1, view.camera2)
     (K1, _), (K2, _) = view.camera1.tensors(), view.camera2.tensors()
     try:
-        bundle = bundle_adjust(x1[rows], x2[rows], K1, K2, view.R, view.t, loss=LOSS, loss_scale=LOSS_SCALE_PX)
+        bundle = bundle_adjust(
+            x1[rows], x2[rows], K1, K2, view.R, view.t, loss=LOSS, loss_scale=LOSS_SCALE_PX
+        )
         sure = covariance(bundle)
     except DegenerateGeometryError:
         return None

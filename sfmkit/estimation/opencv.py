@@ -39,8 +39,8 @@ def estimate_essential(
 ) -> RobustModel:
     """Essential matrix ``xn2^T E xn1 = 0`` by ``cv2.findEssentialMat``.
 
-    OpenCV assumes one camera; two different ones are both turned into a virtual camera with the mean focal length, so
-    that the threshold stays in pixels.
+    OpenCV assumes one camera; two different ones are both turned into a virtual camera with the
+    mean focal length, so that the threshold stays in pixels.
 
     Args:
         x1, x2: (N, 2) undistorted pixels.
@@ -49,7 +49,8 @@ def estimate_essential(
         seed: OpenCV starts its own generator anew on every call; the seed shuffles the matches.
 
     Returns:
-        RobustModel with E; without a model when there are fewer than 5 matches or OpenCV finds none.
+        RobustModel with E; without a model when there are fewer than 5 matches or OpenCV finds
+        none.
 
     Raises:
         InputError: unknown method, shapes, dtypes, NaN.
@@ -95,7 +96,8 @@ def estimate_fundamental(
     max_iterations: int = 10_000,
     seed: int = 0,
 ) -> RobustModel:
-    """Fundamental matrix ``x2^T F x1 = 0`` by ``cv2.findFundamentalMat``; arguments as for :func:`estimate_essential`.
+    """Fundamental matrix ``x2^T F x1 = 0`` by ``cv2.findFundamentalMat``; arguments as for
+    :func:`estimate_essential`.
 
     Without a model when there are fewer than 8 matches.
     """
@@ -121,7 +123,8 @@ def estimate_homography(
     max_iterations: int = 10_000,
     seed: int = 0,
 ) -> RobustModel:
-    """Homography ``x2 = H x1`` by ``cv2.findHomography``; arguments as for :func:`estimate_essential`.
+    """Homography ``x2 = H x1`` by ``cv2.findHomography``; arguments as for
+    :func:`estimate_essential`.
 
     Without a model when there are fewer than 4 matches.
     """
@@ -131,7 +134,15 @@ def estimate_homography(
         return RobustModel.failed(len(x1), device=x1.device)
     (y1, T1), (y2, T2) = _centred(x1), _centred(x2)
     p1, p2 = _shuffled(y1, y2, seed)
-    found = _solve(cv2.findHomography, p1, p2, flag, threshold_px, maxIters=max_iterations, confidence=confidence)
+    found = _solve(
+        cv2.findHomography,
+        p1,
+        p2,
+        flag,
+        threshold_px,
+        maxIters=max_iterations,
+        confidence=confidence,
+    )
     models = [torch.linalg.inv(T2) @ H.to(x1) @ T1 for H in found]
     best = _best(models, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
     return supported(best, x1, x2, 4, threshold_px)
@@ -139,7 +150,9 @@ def estimate_homography(
 
 def _flag(method: str) -> int:
     if method not in METHODS:
-        raise InputError(f"the opencv back end has no method {method!r}; it has {', '.join(METHODS)}")
+        raise InputError(
+            f"the opencv back end has no method {method!r}; it has {', '.join(METHODS)}"
+        )
     return METHODS[method]
 
 
@@ -149,7 +162,8 @@ def _shuffled(x1: Tensor, x2: Tensor, seed: int) -> tuple[np.ndarray, np.ndarray
 
 
 def _centred(x: Tensor) -> tuple[Tensor, Tensor]:
-    """The points about their mean, and the shift (3, 3): OpenCV computes in float32, coarse far from the origin."""
+    """The points about their mean, and the shift (3, 3): OpenCV computes in float32, coarse far
+    from the origin."""
     T = torch.eye(3, dtype=x.dtype, device=x.device)
     T[:2, 2] = -x.detach().mean(0)
     return x + T[:2, 2], T
@@ -167,7 +181,8 @@ def _solve(function, *args, **kwargs) -> list[Tensor]:
 
 
 def _best(models: list[Tensor], squared_residual, x1: Tensor, threshold_px: float) -> RobustModel:
-    """The model of highest marginal score, with the inliers and the score as every back end counts them."""
+    """The model of highest marginal score, with the inliers and the score as every back end counts
+    them."""
     best = RobustModel.failed(len(x1), device=x1.device)
     for M in models:
         square = squared_residual(M)

@@ -1,4 +1,5 @@
-"""Robust estimation by other libraries, PoseLib and pycolmap (the ``peers`` extra), behind the same calls. CPU only."""
+"""Robust estimation by other libraries, PoseLib and pycolmap (the ``peers`` extra), behind the same
+calls. CPU only."""
 
 from __future__ import annotations
 
@@ -22,47 +23,78 @@ PEERS = ("poselib", "pycolmap")
 
 
 def backend(name: str) -> Any:
-    """The estimators of a peer, with the signatures of :mod:`sfmkit.estimation.opencv`; method is ``loransac`` only.
+    """The estimators of a peer, with the signatures of :mod:`sfmkit.estimation.opencv`; method is
+    ``loransac`` only.
 
     Raises:
         InputError: no such peer, or it is not installed.
     """
     if name not in PEERS:
-        raise InputError(f"there is no back end {name!r}; there are torch, opencv, {', '.join(PEERS)}")
+        raise InputError(
+            f"there is no back end {name!r}; there are torch, opencv, {', '.join(PEERS)}"
+        )
     module = _installed(name)
     fit = {"poselib": _poselib, "pycolmap": _pycolmap}[name]
 
     def estimate_essential(
-        x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, *, threshold_px: float = 1.0, method: str = "loransac",
-        confidence: float = 0.9999, max_iterations: int = 10_000, seed: int = 0,
-    ) -> RobustModel:  # fmt: skip
+        x1: Tensor,
+        x2: Tensor,
+        K1: Tensor,
+        K2: Tensor,
+        *,
+        threshold_px: float = 1.0,
+        method: str = "loransac",
+        confidence: float = 0.9999,
+        max_iterations: int = 10_000,
+        seed: int = 0,
+    ) -> RobustModel:
         """Essential matrix; see :func:`sfmkit.estimation.opencv.estimate_essential`."""
         check_intrinsics(x1, K1=K1, K2=K2)
         _check(name, x1, x2, method)
-        found = fit(module, "essential", x1, x2, (K1, K2), threshold_px, confidence, max_iterations, seed)
+        found = fit(
+            module, "essential", x1, x2, (K1, K2), threshold_px, confidence, max_iterations, seed
+        )
 
         def square(E: Tensor) -> Tensor:
             return squared_sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2)
 
-        return supported(_result(found, square, x1, threshold_px), x1, x2, _LEAST["essential"], threshold_px)
+        return supported(
+            _result(found, square, x1, threshold_px), x1, x2, _LEAST["essential"], threshold_px
+        )
 
     def estimate_fundamental(
-        x1: Tensor, x2: Tensor, *, threshold_px: float = 1.0, method: str = "loransac",
-        confidence: float = 0.9999, max_iterations: int = 10_000, seed: int = 0,
-    ) -> RobustModel:  # fmt: skip
+        x1: Tensor,
+        x2: Tensor,
+        *,
+        threshold_px: float = 1.0,
+        method: str = "loransac",
+        confidence: float = 0.9999,
+        max_iterations: int = 10_000,
+        seed: int = 0,
+    ) -> RobustModel:
         """Fundamental matrix; see :func:`sfmkit.estimation.opencv.estimate_fundamental`."""
         _check(name, x1, x2, method)
-        found = fit(module, "fundamental", x1, x2, None, threshold_px, confidence, max_iterations, seed)
+        found = fit(
+            module, "fundamental", x1, x2, None, threshold_px, confidence, max_iterations, seed
+        )
         result = _result(found, lambda F: squared_sampson_distance(F, x1, x2), x1, threshold_px)
         return supported(result, x1, x2, _LEAST["fundamental"], threshold_px)
 
     def estimate_homography(
-        x1: Tensor, x2: Tensor, *, threshold_px: float = 1.0, method: str = "loransac",
-        confidence: float = 0.9999, max_iterations: int = 10_000, seed: int = 0,
-    ) -> RobustModel:  # fmt: skip
+        x1: Tensor,
+        x2: Tensor,
+        *,
+        threshold_px: float = 1.0,
+        method: str = "loransac",
+        confidence: float = 0.9999,
+        max_iterations: int = 10_000,
+        seed: int = 0,
+    ) -> RobustModel:
         """Homography; see :func:`sfmkit.estimation.opencv.estimate_homography`."""
         _check(name, x1, x2, method)
-        found = fit(module, "homography", x1, x2, None, threshold_px, confidence, max_iterations, seed)
+        found = fit(
+            module, "homography", x1, x2, None, threshold_px, confidence, max_iterations, seed
+        )
         result = _result(found, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
         return supported(result, x1, x2, _LEAST["homography"], threshold_px)
 
@@ -93,13 +125,25 @@ Found = tuple[np.ndarray | None, int]
 
 
 def _poselib(
-    poselib: Any, kind: str, x1: Tensor, x2: Tensor, cameras: tuple[Tensor, Tensor] | None,
-    threshold: float, confidence: float, most: int, seed: int,
-) -> Found:  # fmt: skip
+    poselib: Any,
+    kind: str,
+    x1: Tensor,
+    x2: Tensor,
+    cameras: tuple[Tensor, Tensor] | None,
+    threshold: float,
+    confidence: float,
+    most: int,
+    seed: int,
+) -> Found:
     if len(x1) < _LEAST[kind]:
         return None, 0
     p1, p2 = _numpy(x1), _numpy(x2)
-    ransac = {"success_prob": confidence, "max_iterations": most, "seed": seed, "min_iterations": min(1000, most)}
+    ransac = {
+        "success_prob": confidence,
+        "max_iterations": most,
+        "seed": seed,
+        "min_iterations": min(1000, most),
+    }
     ransac |= {"max_epipolar_error": threshold, "max_reproj_error": threshold}
     if cameras is None:
         M, info = getattr(poselib, f"estimate_{kind}")(p1, p2, ransac)
@@ -120,9 +164,16 @@ def _camera(K: Tensor) -> dict[str, Any]:
 
 
 def _pycolmap(
-    pycolmap: Any, kind: str, x1: Tensor, x2: Tensor, cameras: tuple[Tensor, Tensor] | None,
-    threshold: float, confidence: float, most: int, seed: int,
-) -> Found:  # fmt: skip
+    pycolmap: Any,
+    kind: str,
+    x1: Tensor,
+    x2: Tensor,
+    cameras: tuple[Tensor, Tensor] | None,
+    threshold: float,
+    confidence: float,
+    most: int,
+    seed: int,
+) -> Found:
     if len(x1) < _LEAST[kind]:
         return None, 0
     options = pycolmap.RANSACOptions(
@@ -154,4 +205,6 @@ def _result(found: Found, squared_residual, x1: Tensor, threshold: float) -> Rob
         return RobustModel.failed(len(x1), iterations, x1.device)
     model = torch.from_numpy(np.array(M, dtype=np.float64)).to(x1)
     square = squared_residual(model)
-    return RobustModel(model, square < threshold**2, float(marginal_score(square, threshold).sum()), iterations)
+    return RobustModel(
+        model, square < threshold**2, float(marginal_score(square, threshold).sum()), iterations
+    )

@@ -1,13 +1,15 @@
-"""A homography from fused correspondences of which few are right, and the verdict whether it means anything.
+"""A homography from fused correspondences of which few are right, and the verdict whether it means
+anything.
 
-What drowns a good operator among bad ones is that samples are drawn, and models are scored, over all matches alike. The
-ratio of the best to the second-best descriptor distance is comparable between operators, and the right matches are far
-denser among the small ratios. So the search runs on the most distinctive matches of all operators first, then on longer
-prefixes of the same order, and every model found is carried on to the longer ones. Which prefix to believe is not a
+What drowns a good operator among bad ones is that samples are drawn, and models are scored, over
+all matches alike. The ratio of the best to the second-best descriptor distance is comparable
+between operators, and the right matches are far denser among the small ratios. So the search runs
+on the most distinctive matches of all operators first, then on longer prefixes of the same order,
+and every model found is carried on to the longer ones. Which prefix to believe is not a
 setting: the number of false alarms compares them, and is the verdict as well.
 
-Source: Chum & Matas, PROSAC, CVPR 2005 (order); Moisan & Stival, IJCV 2004 (false alarms); Barath et al., MAGSAC++, CVPR
-2020 (score).
+Source: Chum & Matas, PROSAC, CVPR 2005 (order); Moisan & Stival, IJCV 2004 (false alarms); Barath
+et al., MAGSAC++, CVPR 2020 (score).
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ _BATCH = 4_000
 _CANDIDATES = 6  # models of a prefix that are improved
 _CERTAIN = -40.0  # log10 of the false alarms at which no longer prefix is searched
 _DISTINCT_PX = 6.0  # matches nearer than this in both images are one piece of evidence
-_LOOSE = 2.0  # the search's threshold over the fit's: minimal samples are inexact, and scenes not quite planar
+# the search's threshold over the fit's: minimal samples are inexact, and scenes not quite planar
+_LOOSE = 2.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class PlanarOptions:
     """How a homography is estimated.
 
     Attributes:
-        method: ``prefixes`` (ours), or ``ransac``: OpenCV's on all matches, which is what the paper does.
+        method: ``prefixes`` (ours), or ``ransac``: OpenCV's on all matches, which is what the paper
+            does.
         threshold_px: Sampson distance beyond which a match does not count, pixels.
         guided: match again near the predicted positions, and fit to that.
     """
@@ -66,10 +70,12 @@ class PlanarFit:
     """A homography, or why there is none.
 
     Attributes:
-        H: (3, 3) float64 with ``H[2, 2] = 1``, ``x2 = H x1`` in pixels; None for too little evidence.
+        H: (3, 3) float64 with ``H[2, 2] = 1``, ``x2 = H x1`` in pixels; None for too little
+            evidence.
         inliers: (N,) bool.
         reason: in words.
-        evidence: matches, inliers, chance_agreement, log10_false_alarms (of the prefix that decided).
+        evidence: matches, inliers, chance_agreement, log10_false_alarms (of the prefix that
+            decided).
     """
 
     H: Tensor | None
@@ -78,7 +84,9 @@ class PlanarFit:
     evidence: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
-def estimate_planar(corr: Correspondences, options: PlanarOptions | None = None, *, seed: int = 0) -> PlanarFit:
+def estimate_planar(
+    corr: Correspondences, options: PlanarOptions | None = None, *, seed: int = 0
+) -> PlanarFit:
     """The homography that the correspondences show.
 
     Args:
@@ -92,7 +100,9 @@ def estimate_planar(corr: Correspondences, options: PlanarOptions | None = None,
     n = len(corr)
     nothing = torch.zeros(n, dtype=torch.bool)
     if n < MIN_MATCHES:
-        return PlanarFit(None, nothing, f"{n} matches; at least {MIN_MATCHES} are needed.", {"matches": n})
+        return PlanarFit(
+            None, nothing, f"{n} matches; at least {MIN_MATCHES} are needed.", {"matches": n}
+        )
     order = torch.argsort(corr.ratio.nan_to_num(nan=torch.inf), stable=True)
     x1, x2 = corr.x1[order], corr.x2[order]
     generator = torch.Generator().manual_seed(seed)
@@ -102,9 +112,7 @@ def estimate_planar(corr: Correspondences, options: PlanarOptions | None = None,
         H, evidence = _search(x1, x2, options.threshold_px, generator)
     if H is None or evidence["log10_false_alarms"] > MAX_LOG10_NFA:
         k, m = int(evidence.get("inliers", 0)), int(evidence.get("matches", n))
-        reason = (
-            f"At best {k:,} of the {m:,} most distinctive matches agree on one homography: chance would do as well."
-        )
+        reason = f"At best {k:,} of the {m:,} most distinctive matches agree on one homography: chance would do as well."
         return PlanarFit(None, nothing, reason, evidence)
     if options.method == "prefixes":
         H = refine_homography(H, x1, x2, threshold_px=options.threshold_px)
@@ -118,7 +126,13 @@ def _ransac(
 ) -> tuple[Tensor | None, dict[str, float]]:
     """OpenCV's RANSAC at OpenCV's defaults, whatever the order of the matches."""
     fit = opencv.estimate_homography(
-        x1, x2, threshold_px=threshold, method="ransac", confidence=0.995, max_iterations=2000, seed=seed
+        x1,
+        x2,
+        threshold_px=threshold,
+        method="ransac",
+        confidence=0.995,
+        max_iterations=2000,
+        seed=seed,
     )
     if fit.model is None:
         return None, {"matches": len(x1)}
@@ -134,25 +148,33 @@ def _search(
     sizes = [size for size in _PREFIXES if size < len(x1)] or [len(x1)]
     for level, size in enumerate(sizes):
         for H in _candidates(x1[:size], x2[:size], _LOOSE * threshold, _SAMPLES[level], generator):
-            if evidence["log10_false_alarms"] < _CERTAIN and evidence["inliers"] > evidence["matches"] / 2:
+            if (
+                evidence["log10_false_alarms"] < _CERTAIN
+                and evidence["inliers"] > evidence["matches"] / 2
+            ):
                 break  # most of the matches agree: no other candidate can have as many
             shorter = torch.inf
             for longer in sizes[level:]:
                 a, b = x1[:longer], x2[:longer]
                 H = refine_homography(H, a, b, threshold_px=_LOOSE * threshold, max_iterations=8)
-                tries = [false_alarms(H, a, b, t, generator) for t in (threshold, _LOOSE * threshold)]
+                tries = [
+                    false_alarms(H, a, b, t, generator) for t in (threshold, _LOOSE * threshold)
+                ]
                 found = min(tries, key=lambda each: each["log10_false_alarms"])
                 if found["log10_false_alarms"] < evidence["log10_false_alarms"]:
                     best, evidence = H, found
                 if found["log10_false_alarms"] > max(shorter, 0.0):
-                    break  # a right model gains with every match that is added, an accidental one loses
+                    # a right model gains with every match that is added, an accidental one loses
+                    break
                 shorter = found["log10_false_alarms"]
         if evidence["log10_false_alarms"] < _CERTAIN:
             break
     return best, evidence
 
 
-def _candidates(x1: Tensor, x2: Tensor, threshold: float, samples: int, generator: torch.Generator) -> Tensor:
+def _candidates(
+    x1: Tensor, x2: Tensor, threshold: float, samples: int, generator: torch.Generator
+) -> Tensor:
     """(up to _CANDIDATES, 3, 3) models of minimal samples that score highest, best first."""
     problem = HomographyProblem(x1, x2, threshold, None)
     kept, scores = [], []
@@ -162,7 +184,8 @@ def _candidates(x1: Tensor, x2: Tensor, threshold: float, samples: int, generato
         top = score.topk(min(_CANDIDATES, len(score))).indices
         kept.append(models[top])
         scores.append(score[top])
-        # A sample of inliers only recurs within a batch or two when they are many; then more batches add nothing.
+        # A sample of inliers only recurs within a batch or two when they are many; then more
+        # batches add nothing.
         if float(scores[-1].max()) * len(x1) > len(x1) / 4:
             break
     models, score = torch.cat(kept), torch.cat(scores)
@@ -178,11 +201,13 @@ def _draw(n: int, count: int, generator: torch.Generator) -> Tensor:
     return samples[(ascending[:, 1:] != ascending[:, :-1]).all(1)]
 
 
-def false_alarms(H: Tensor, x1: Tensor, x2: Tensor, threshold: float, generator: torch.Generator) -> dict[str, float]:
+def false_alarms(
+    H: Tensor, x1: Tensor, x2: Tensor, threshold: float, generator: torch.Generator
+) -> dict[str, float]:
     """How many homographies as well supported as H chance alone would produce among these matches.
 
-    Matches that lie together in both images are counted once: a repeated detail is one coincidence, not ten. The chance
-    of a wrong match to agree is measured on shuffled partners.
+    Matches that lie together in both images are counted once: a repeated detail is one coincidence,
+    not ten. The chance of a wrong match to agree is measured on shuffled partners.
 
     Returns:
         matches, inliers (both counted once), chance_agreement, log10_false_alarms.

@@ -15,11 +15,15 @@ class RobustModel:
     """A model and the matches that agree with it.
 
     Attributes:
-        model: (3, 3) float64 E (normalised coordinates), F or H (pixels); None when no model was found.
-        inliers: (N,) bool, Sampson distance below the threshold: one test for every back end, so that counts compare.
-        score: the marginal score (:func:`sfmkit.geometry.losses.marginal_score`) of all matches, between 0 and N.
+        model: (3, 3) float64 E (normalised coordinates), F or H (pixels); None when no model was
+            found.
+        inliers: (N,) bool, Sampson distance below the threshold: one test for every back end, so
+            that counts compare.
+        score: the marginal score (:func:`sfmkit.geometry.losses.marginal_score`) of all matches,
+            between 0 and N.
         iterations: minimal samples tried; 0 where the back end does not say.
-        history: one entry for each improvement on the way, oldest first; empty where the back end does not say.
+        history: one entry for each improvement on the way, oldest first; empty where the back end
+            does not say.
     """
 
     model: Tensor | None
@@ -34,16 +38,19 @@ class RobustModel:
         return cls(None, torch.zeros(n, dtype=torch.bool, device=device), 0.0, iterations)
 
 
-def supported(found: RobustModel, x1: Tensor, x2: Tensor, least: int, threshold_px: float) -> RobustModel:
+def supported(
+    found: RobustModel, x1: Tensor, x2: Tensor, least: int, threshold_px: float
+) -> RobustModel:
     """What was found, or no model where its inliers determine none.
 
-    Any number of copies of a few matches, or of points on one line of an image, agree with a whole family of models: they
-    would all be inliers of an arbitrary one.
+    Any number of copies of a few matches, or of points on one line of an image, agree with a whole
+    family of models: they would all be inliers of an arbitrary one.
 
     Args:
         x1, x2: (N, 2) pixels.
         least: distinct matches that it takes.
-        threshold_px: inliers that lie nearer than this to one line, in the root mean square, cannot be told from a line.
+        threshold_px: inliers that lie nearer than this to one line, in the root mean square, cannot
+            be told from a line.
     """
     if found.model is None:
         return found

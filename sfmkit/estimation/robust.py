@@ -1,12 +1,12 @@
 """Robust estimation in torch: E, F and H from matches of which many are wrong. CPU and CUDA.
 
-Rounds of minimal samples, all solved at once; every model is scored on a random subset of the matches, the best few on
-all; a new best is improved locally and scored again. Scores are marginal over the noise level up to the threshold
-(MAGSAC++, see :mod:`sfmkit.geometry.losses`). The search ends when a better model has been missed with a probability
-below one minus the confidence.
+Rounds of minimal samples, all solved at once; every model is scored on a random subset of the
+matches, the best few on all; a new best is improved locally and scored again. Scores are marginal
+over the noise level up to the threshold (MAGSAC++, see :mod:`sfmkit.geometry.losses`). The search
+ends when a better model has been missed with a probability below one minus the confidence.
 
-Source: Barath et al., MAGSAC++, CVPR 2020 (score); Chum, Matas & Kittler, Locally optimized RANSAC, 2003; Chum & Matas,
-PROSAC, CVPR 2005; Nister, Preemptive RANSAC, ICCV 2003 (subsets).
+Source: Barath et al., MAGSAC++, CVPR 2020 (score); Chum, Matas & Kittler, Locally optimized RANSAC,
+2003; Chum & Matas, PROSAC, CVPR 2005; Nister, Preemptive RANSAC, ICCV 2003 (subsets).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ METHODS = ("magsac",)
 
 _ROUND = (64, 256)  # minimal samples in each of the first and in every later round
 _LEAST_ROUNDS = 3
-_CAUTION = 3.0  # a sample of inliers is not always a good one: as many times the samples that confidence asks for
+# a sample of inliers is not always a good one: as many times the samples that confidence asks for
+_CAUTION = 3.0
 _SUBSET = 768  # matches that every model is scored on
 _SHORTLIST = 16  # models scored on all matches
 _LOCAL_SCALE = 2.0  # of the threshold: what a rough model's own fit takes into account
@@ -65,11 +66,13 @@ def estimate_essential(
         seed: the same seed gives the same bits on the same machine.
         weights: (N,) not negative: how much a match counts, in the score, the fit and the sampling.
         ratio: (N,) distance ratios; samples are drawn from the smallest first.
-        groups: (N,) int64, such as the operator of each match: groups that turn out to hold more inliers are drawn more.
+        groups: (N,) int64, such as the operator of each match: groups that turn out to hold more
+            inliers are drawn more.
 
     Returns:
-        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6 matches, or none
-        was found, or its inliers are fewer than 6 but for copies, or lie on one line.
+        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6
+        matches, or none was found, or its inliers are fewer than 6 but for copies, or lie on one
+        line.
 
     Raises:
         InputError: shapes, dtypes, NaN, an unknown method.
@@ -79,8 +82,17 @@ def estimate_essential(
     K1, K2 = K1.detach().double(), K2.detach().double()
     return _search(
         lambda a, b, w: EssentialProblem(a, b, K1, K2, threshold_px, w),
-        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=6,
-    )  # fmt: skip
+        x1,
+        x2,
+        weights,
+        ratio,
+        groups,
+        threshold_px,
+        confidence,
+        max_iterations,
+        seed,
+        minimum=6,
+    )
 
 
 def estimate_fundamental(
@@ -98,14 +110,24 @@ def estimate_fundamental(
 ) -> RobustModel:
     """Fundamental matrix ``x2^T F x1 = 0``, pixels; arguments as for :func:`estimate_essential`.
 
-    No model when there are fewer than 8 matches. On a scene with a dominant plane F is not determined, and what is
+    No model when there are fewer than 8 matches. On a scene with a dominant plane F is not
+    determined, and what is
     returned may fit the plane only: E, from known cameras, does not have that weakness.
     """
     _check(x1, x2, method, threshold_px, weights, ratio, groups)
     return _search(
         lambda a, b, w: FundamentalProblem(a, b, threshold_px, w),
-        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=8,
-    )  # fmt: skip
+        x1,
+        x2,
+        weights,
+        ratio,
+        groups,
+        threshold_px,
+        confidence,
+        max_iterations,
+        seed,
+        minimum=8,
+    )
 
 
 def estimate_homography(
@@ -128,14 +150,30 @@ def estimate_homography(
     _check(x1, x2, method, threshold_px, weights, ratio, groups)
     return _search(
         lambda a, b, w: HomographyProblem(a, b, threshold_px, w),
-        x1, x2, weights, ratio, groups, threshold_px, confidence, max_iterations, seed, minimum=5,
-    )  # fmt: skip
+        x1,
+        x2,
+        weights,
+        ratio,
+        groups,
+        threshold_px,
+        confidence,
+        max_iterations,
+        seed,
+        minimum=5,
+    )
 
 
 def essential_score(
-    E: Tensor, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold_px: float, weights: Tensor | None = None
+    E: Tensor,
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    threshold_px: float,
+    weights: Tensor | None = None,
 ) -> Tensor:
-    """Summed marginal score of E (*B, 3, 3) over matches (*B, N, 2), weighted; differentiable in everything.
+    """Summed marginal score of E (*B, 3, 3) over matches (*B, N, 2), weighted; differentiable in
+    everything.
 
     What :func:`estimate_essential` maximises. Between 0 and the sum of the weights.
     """
@@ -155,20 +193,35 @@ def _check(
 ) -> None:
     check_points(0, weights, x1=x1, x2=x2)
     if x1.ndim != 2:
-        raise InputError(f"robust estimation takes one set of matches (N, 2), not {tuple(x1.shape)}")
+        raise InputError(
+            f"robust estimation takes one set of matches (N, 2), not {tuple(x1.shape)}"
+        )
     if method not in METHODS:
-        raise InputError(f"the torch back end has no method {method!r}; it has {', '.join(METHODS)}")
+        raise InputError(
+            f"the torch back end has no method {method!r}; it has {', '.join(METHODS)}"
+        )
     if not threshold_px > 0:
         raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
     for name, a in (("ratio", ratio), ("groups", groups)):
         if a is not None and a.shape != x1.shape[:1]:
-            raise InputError(f"{name} must have shape ({len(x1)},), one for each match, not {tuple(a.shape)}")
+            raise InputError(
+                f"{name} must have shape ({len(x1)},), one for each match, not {tuple(a.shape)}"
+            )
 
 
 def _search(
-    make, x1: Tensor, x2: Tensor, weights: Tensor | None, ratio: Tensor | None, groups: Tensor | None,
-    threshold: float, confidence: float, max_iterations: int, seed: int, minimum: int,
-) -> RobustModel:  # fmt: skip
+    make,
+    x1: Tensor,
+    x2: Tensor,
+    weights: Tensor | None,
+    ratio: Tensor | None,
+    groups: Tensor | None,
+    threshold: float,
+    confidence: float,
+    max_iterations: int,
+    seed: int,
+    minimum: int,
+) -> RobustModel:
     n = len(x1)
     if n < minimum:
         return RobustModel.failed(n, device=x1.device)
@@ -179,7 +232,10 @@ def _search(
         return None if a is None else a.detach()[shuffle.to(a.device)]
 
     weights = shuffled(weights)
-    problem: Problem = make(shuffled(x1).double(), shuffled(x2).double(), None if weights is None else weights.double())  # type: ignore[union-attr]
+    first, second = x1.detach()[shuffle.to(x1.device)], x2.detach()[shuffle.to(x2.device)]
+    problem: Problem = make(
+        first.double(), second.double(), None if weights is None else weights.double()
+    )
     sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio), shuffled(groups))
     best, iterations, history = _explore(problem, sampler, confidence, max_iterations)
     if best is None:
@@ -213,11 +269,13 @@ def _explore(
         models = problem.solve(sampler.draw(count).to(problem.x1.device))
         iterations += count
         if len(models):
-            # Tried first on matches as promising as those it came from: among all, few right ones drown in the noise.
+            # Tried first on matches as promising as those it came from: among all, few right ones
+            # drown in the noise.
             first = problem.scores(models, sampler.audience(_SUBSET).to(problem.x1.device))
             shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
             scores = problem.final_scores(shortlist)
-            # A sample's own model is rough: even where the best so far is ahead of it, it may lead past it.
+            # A sample's own model is rough: even where the best so far is ahead of it, it may lead
+            # past it.
             start = shortlist[scores.topk(min(_LOCAL_BEST, len(shortlist))).indices]
             fitted = problem.improve(start, local, _LOCAL_STEPS, _LOCAL_SCALE)
             for stage, candidates in (("sample", start[:1]), ("local optimisation", fitted)):
@@ -226,11 +284,17 @@ def _explore(
                 if float(scores[top]) > best_score:
                     best, best_score = candidates[top], float(scores[top])
                     inliers = problem.squares(candidates[top : top + 1], ALL)[0] < 1
-                    history.append(Improvement(iterations, best, int(inliers.sum()), best_score, stage))
+                    history.append(
+                        Improvement(iterations, best, int(inliers.sum()), best_score, stage)
+                    )
             sampler.learn(inliers)
-        if len(sampler.rounds) >= _LEAST_ROUNDS and sampler.log_missed(inliers) < _CAUTION * math.log1p(-confidence):
+        if len(sampler.rounds) >= _LEAST_ROUNDS and sampler.log_missed(
+            inliers
+        ) < _CAUTION * math.log1p(-confidence):
             break
-        if len(sampler.rounds) == _LEAST_ROUNDS:  # no easy case: it is worth asking the matches about each other
+        if (
+            len(sampler.rounds) == _LEAST_ROUNDS
+        ):  # no easy case: it is worth asking the matches about each other
             sampler.consider(disagreement(problem.x1, problem.x2, problem.threshold))
             sampler.learn(inliers)
     return best, iterations, history

@@ -1,4 +1,5 @@
-"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict on what the scene shows."""
+"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict on what the
+scene shows."""
 
 from __future__ import annotations
 
@@ -11,7 +12,11 @@ from torch import Tensor
 
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.distortion import undistort
-from ..geometry.essential import decompose_essential, essential_from_fundamental, essential_from_pose
+from ..geometry.essential import (
+    decompose_essential,
+    essential_from_fundamental,
+    essential_from_pose,
+)
 from ..geometry.fundamental import (
     fundamental_8point,
     fundamental_from_essential,
@@ -27,12 +32,14 @@ from . import opencv
 from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, judge
 
-# The search for a competing plane: a plane that matters is found in far fewer samples than a full search would take.
+# The search for a competing plane: a plane that matters is found in far fewer samples than a full
+# search would take.
 PLANE_ITERATIONS = 2_000
 
 
 def backend(name: str) -> ModuleType:
-    """The module of a back end; all offer estimate_essential, and most estimate_fundamental and estimate_homography."""
+    """The module of a back end; all offer estimate_essential, and most estimate_fundamental and
+    estimate_homography."""
     if name == "torch":
         from . import robust
 
@@ -44,7 +51,9 @@ def backend(name: str) -> ModuleType:
     return peers.backend(name)
 
 
-def undistorted_pixels(corr: Correspondences, camera1: Camera, camera2: Camera) -> tuple[Tensor, Tensor]:
+def undistorted_pixels(
+    corr: Correspondences, camera1: Camera, camera2: Camera
+) -> tuple[Tensor, Tensor]:
     """(N, 2) pixels in both images as ideal pinholes with the same K would have seen them."""
     return tuple(_undistorted(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2)))  # type: ignore[return-value]
 
@@ -69,8 +78,8 @@ def estimate_two_view(
         options: model, back end and threshold.
 
     Returns:
-        A :class:`TwoView`. Too few matches, or matches that agree no better than chance, are the verdict
-        ``TOO_LITTLE`` without a pose; a pure rotation has R but no t.
+        A :class:`TwoView`. Too few matches, or matches that agree no better than chance, are the
+        verdict ``TOO_LITTLE`` without a pose; a pure rotation has R but no t.
     """
     options = options or EstimateOptions()
     x1, x2 = undistorted_pixels(corr, camera1, camera2)
@@ -80,7 +89,9 @@ def estimate_two_view(
     history: tuple[Improvement, ...] = ()
 
     def too_little(reason: str, evidence: dict[str, float]) -> TwoView:
-        return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, history=history)
+        return TwoView(
+            camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, history=history
+        )
 
     if n < MIN_MATCHES:
         return too_little(
@@ -90,7 +101,9 @@ def estimate_two_view(
         )
 
     # Copies of a few matches must not pass for many: chance is judged by their number.
-    fit = supported(robust_fit(x1, x2, K1, K2, corr, options, seed), x1, x2, MIN_MATCHES, options.threshold_px)
+    fit = supported(
+        robust_fit(x1, x2, K1, K2, corr, options, seed), x1, x2, MIN_MATCHES, options.threshold_px
+    )
     history = fit.history
     if fit.model is None:
         return too_little(
@@ -106,25 +119,37 @@ def estimate_two_view(
     if calibrated or options.refine:
         F = fundamental_from_essential(E, K1, K2)
         inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
-    else:  # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses thereby
+    # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses
+    # thereby
+    else:
         F, inliers = fit.model, fit.inliers
 
     plane = opencv.estimate_homography(
         x1, x2, threshold_px=options.threshold_px, seed=seed, max_iterations=PLANE_ITERATIONS
     )
-    # The competing explanations are compared at their best: a carelessly fitted F would lose to a plane.
+    # The competing explanations are compared at their best: a carelessly fitted F would lose to a
+    # plane.
     F_best, inliers_best = F, inliers
     if not options.refine:
-        F_best = fundamental_from_pose(*refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose, K1, K2)
+        F_best = fundamental_from_pose(
+            *refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose, K1, K2
+        )
         inliers_best = sampson_distance(F_best, x1, x2).abs() < options.threshold_px
     judgement = judge(x1, x2, K1, K2, F_best, inliers_best, plane.model, options.threshold_px, seed)
     if judgement.verdict is Verdict.TOO_LITTLE:
         return too_little(judgement.reason, judgement.evidence)
     if judgement.rotation is not None:
         return TwoView(
-            camera1, camera2, plane.inliers, judgement.verdict, judgement.reason, judgement.evidence,
-            R=judgement.rotation, H=plane.model, history=history,
-        )  # fmt: skip
+            camera1,
+            camera2,
+            plane.inliers,
+            judgement.verdict,
+            judgement.reason,
+            judgement.evidence,
+            R=judgement.rotation,
+            H=plane.model,
+            history=history,
+        )
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
     reason = judgement.reason
     if judgement.verdict is Verdict.PLANAR and plane.model is not None:
@@ -136,13 +161,26 @@ def estimate_two_view(
         F = fundamental_from_essential(E, K1, K2)
         inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
         if alternatives:
-            reason += " A plane seen twice allows two motions; the other one is kept as an alternative."
+            reason += (
+                " A plane seen twice allows two motions; the other one is kept as an alternative."
+            )
     in_front = cheirality(normalize(x1, K1), normalize(x2, K2), R, t)
     evidence = judgement.evidence | {"share_in_front": float(in_front[inliers].double().mean())}
     return TwoView(
-        camera1, camera2, inliers & in_front, judgement.verdict, reason, evidence,
-        R=R, t=t, E=E, F=F, H=plane.model, alternatives=alternatives, history=history,
-    )  # fmt: skip
+        camera1,
+        camera2,
+        inliers & in_front,
+        judgement.verdict,
+        reason,
+        evidence,
+        R=R,
+        t=t,
+        E=E,
+        F=F,
+        H=plane.model,
+        alternatives=alternatives,
+        history=history,
+    )
 
 
 def planar_poses(
@@ -157,13 +195,21 @@ def planar_poses(
 ) -> list[tuple[Tensor, Tensor]]:
     """The poses under which the matches of a plane can have been seen, the best supported first.
 
-    A homography decomposes into four poses, of which the plane lies in front of both cameras for one or two. They
-    explain the plane alike; what lies off the plane, if anything, tells them apart, so each is refined on all inliers
-    and they are ordered by their truncated squared Sampson distance. `start`, from the essential matrix, competes too.
+    A homography decomposes into four poses, of which the plane lies in front of both cameras for
+    one or two. They explain the plane alike; what lies off the plane, if anything, tells them
+    apart, so each is refined on all inliers and they are ordered by their truncated squared Sampson
+    distance. `start`, from the essential matrix, competes too.
     """
     xn1, xn2 = normalize(x1, K1), normalize(x2, K2)
     Rs, ts, _ = decompose_homography(H, K1, K2)
-    candidates = [start, *((R, torch.nn.functional.normalize(t, dim=0)) for R, t in zip(Rs, ts) if float(t.norm()) > 0)]
+    candidates = [
+        start,
+        *(
+            (R, torch.nn.functional.normalize(t, dim=0))
+            for R, t in zip(Rs, ts)
+            if float(t.norm()) > 0
+        ),
+    ]
     seen: list[tuple[float, Tensor, Tensor]] = []
     for R, t in candidates:
         if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < 0.9:
@@ -174,17 +220,27 @@ def planar_poses(
         if all(float(rotation_error(R, Q) + translation_error(t, u)) > 0.5 for _, Q, u in seen):
             seen.append((cost, R, t))
     best = min((cost for cost, _, _ in seen), default=0.0)
-    kept = [(R, t) for cost, R, t in sorted(seen, key=lambda s: s[0]) if cost < 1.2 * best + threshold_px**2]
+    kept = [
+        (R, t)
+        for cost, R, t in sorted(seen, key=lambda s: s[0])
+        if cost < 1.2 * best + threshold_px**2
+    ]
     return kept or [start]
 
 
 def robust_fit(
-    x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, corr: Correspondences, options: EstimateOptions, seed: int
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    corr: Correspondences,
+    options: EstimateOptions,
+    seed: int,
 ) -> RobustModel:
     """E, or F where the options say so, by their back end.
 
-    Ours is told what the matches know of themselves: their distance ratios order the sampling, and how reliable each
-    operator is here is learned on the way.
+    Ours is told what the matches know of themselves: their distance ratios order the sampling, and
+    how reliable each operator is here is learned on the way.
     """
     engine = backend(options.backend)
     settings: dict[str, Any] = {
@@ -198,15 +254,18 @@ def robust_fit(
     if options.method is not None:
         settings["method"] = options.method
     if options.model == "fundamental":
-        return refit_8point(engine.estimate_fundamental(x1, x2, **settings), x1, x2, options.threshold_px)
+        return refit_8point(
+            engine.estimate_fundamental(x1, x2, **settings), x1, x2, options.threshold_px
+        )
     return engine.estimate_essential(x1, x2, K1, K2, **settings)
 
 
 def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) -> RobustModel:
-    """The normalised eight-point F of all inliers, and its inliers: RANSAC's last step (Hartley & Zisserman, alg. 11.4).
+    """The normalised eight-point F of all inliers, and its inliers: RANSAC's last step (Hartley &
+    Zisserman, alg. 11.4).
 
-    The best sample alone is a lottery over the order of the matches: it may pass every inlier test and still turn the
-    translation by degrees.
+    The best sample alone is a lottery over the order of the matches: it may pass every inlier test
+    and still turn the translation by degrees.
     """
     if fit.model is None or int(fit.inliers.sum()) < MIN_MATCHES:
         return fit

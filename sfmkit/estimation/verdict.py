@@ -1,12 +1,14 @@
-"""What do the correspondences show: a general scene, a plane, a rotation without translation, or too little to say?
+"""What do the correspondences show: a general scene, a plane, a rotation without translation, or
+too little to say?
 
-The competing explanations are compared by Torr's geometric robust information criterion (GRIC): a squared residual
-counts up to a limit, and a model pays for its dimension and its parameters, so that the essential matrix, which fits
-anything that a homography fits, does not win by its freedom alone. All residuals are first-order geometric
-(Sampson) distances in the joint image space of both views, in pixels, so they can be compared with one another.
+The competing explanations are compared by Torr's geometric robust information criterion (GRIC): a
+squared residual counts up to a limit, and a model pays for its dimension and its parameters, so
+that the essential matrix, which fits anything that a homography fits, does not win by its freedom
+alone. All residuals are first-order geometric (Sampson) distances in the joint image space of both
+views, in pixels, so they can be compared with one another.
 
-Whether there is anything to explain is decided first, a contrario (Moisan & Stival 2004): how many models as good as
-this one would chance alone produce among this many matches?
+Whether there is anything to explain is decided first, a contrario (Moisan & Stival 2004): how many
+models as good as this one would chance alone produce among this many matches?
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ MIN_SIGMA_PX = 0.1  # no detector localises better: keeps exact synthetic data f
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict, its reason in words, the numbers it rests on, and the rotation where that is all there is."""
+    """A verdict, its reason in words, the numbers it rests on, and the rotation where that is all
+    there is."""
 
     verdict: Verdict
     reason: str
@@ -37,12 +40,17 @@ class Judgement:
     rotation: Tensor | None = None
 
 
-def fit_rotation(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, R0: Tensor, scale_px: float) -> Tensor:
+def fit_rotation(
+    x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, R0: Tensor, scale_px: float
+) -> Tensor:
     """(3, 3) rotation that turns the rays of x1 into those of x2, robustly, starting from R0.
 
     Iteratively reweighted Kabsch (Arun et al. 1987) with Cauchy weights at `scale_px`.
     """
-    f1, f2 = (torch.nn.functional.normalize(to_homogeneous(normalize(x, K)), dim=-1) for x, K in ((x1, K1), (x2, K2)))
+    f1, f2 = (
+        torch.nn.functional.normalize(to_homogeneous(normalize(x, K)), dim=-1)
+        for x, K in ((x1, K1), (x2, K2))
+    )
     R = R0
     for _ in range(20):
         e2 = ((rotate_pixels(R, x1, K1, K2) - x2) ** 2).sum(-1) / scale_px**2
@@ -65,7 +73,8 @@ def gric(squared: Tensor, sigma: float, dimension: int, parameters: int) -> floa
     """Torr's criterion for N squared residuals (square pixels); smaller is better.
 
     Args:
-        dimension: of the manifold in the 4-space of a correspondence: 3 for E and F, 2 for H and rotations.
+        dimension: of the manifold in the 4-space of a correspondence: 3 for E and F, 2 for H and
+            rotations.
         parameters: degrees of freedom of the model.
 
     Source: Torr, "An assessment of information criteria for motion model selection", CVPR 1997.
@@ -76,7 +85,8 @@ def gric(squared: Tensor, sigma: float, dimension: int, parameters: int) -> floa
 
 
 def log10_nfa(inliers: int, matches: int, chance: float, sample: int, solutions: int) -> float:
-    """log10 of the number of false alarms: models with this many inliers to be expected by chance alone.
+    """log10 of the number of false alarms: models with this many inliers to be expected by chance
+    alone.
 
     Args:
         chance: probability that a random match agrees with the model.
@@ -96,8 +106,11 @@ def log10_nfa(inliers: int, matches: int, chance: float, sample: int, solutions:
     ) / math.log(10)
 
 
-def chance_agreement(F: Tensor, x1: Tensor, x2: Tensor, threshold_px: float, seed: int = 0) -> float:
-    """Probability that a wrong match lies within `threshold_px` of F, measured on shuffled partners.
+def chance_agreement(
+    F: Tensor, x1: Tensor, x2: Tensor, threshold_px: float, seed: int = 0
+) -> float:
+    """Probability that a wrong match lies within `threshold_px` of F, measured on shuffled
+    partners.
 
     Keypoints cluster, so this is larger than the share of the image that an epipolar band covers.
     """
@@ -149,7 +162,8 @@ def judge(
         return Judgement(Verdict.GENERAL, "No plane explains the matches.", evidence)
 
     e_H = homography_sampson(H, x1, x2)
-    # Twice the inlier threshold: a plane's matches must not be dropped because F happens to miss some of them.
+    # Twice the inlier threshold: a plane's matches must not be dropped because F happens to miss
+    # some of them.
     considered = inliers | (e_H < threshold_px**2)
     R0 = nearest_rotation(torch.linalg.solve(K2, H @ K1))
     R = fit_rotation(x1[considered], x2[considered], K1, K2, R0, scale_px=sigma)
@@ -184,7 +198,14 @@ def judge(
 
 
 def nearest_rotation(A: Tensor) -> Tensor:
-    """The rotation nearest to a multiple of the (3, 3) matrix A of positive determinant, in the Frobenius norm."""
+    """The rotation nearest to a multiple of the (3, 3) matrix A of positive determinant, in the
+    Frobenius norm."""
     A = A * torch.sign(torch.det(A))
     U, _, Vt = torch.linalg.svd(A)
-    return U @ torch.diag(torch.tensor([1.0, 1.0, float(torch.det(U @ Vt))], dtype=A.dtype, device=A.device)) @ Vt
+    return (
+        U
+        @ torch.diag(
+            torch.tensor([1.0, 1.0, float(torch.det(U @ Vt))], dtype=A.dtype, device=A.device)
+        )
+        @ Vt
+    )

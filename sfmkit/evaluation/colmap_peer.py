@@ -1,4 +1,5 @@
-"""COLMAP on the same photographs, through pycolmap (the ``peers`` extra): its fast path, by way of its database."""
+"""COLMAP on the same photographs, through pycolmap (the ``peers`` extra): its fast path, by way of
+its database."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from ..errors import InputError
 from ..types import Camera, PointCloud
 
 NAME = "colmap"
-# Least angle between the rays of a first pair: COLMAP's own, then less. Of two photographs there is nothing to choose.
+# Least angle between the rays of a first pair: COLMAP's own, then less. Of two photographs there is
+# nothing to choose.
 _TRIES_DEG, _PAIR_DEG = (16.0, 4.0, 1.5), (1.5,)
 
 
@@ -26,8 +28,8 @@ class ColmapModel:
     """What COLMAP made of some photographs.
 
     Attributes:
-        cloud: its points in the frame of the first photograph, in units of the distance from there to the second; None
-            where it made no model, or one without these two.
+        cloud: its points in the frame of the first photograph, in units of the distance from there
+            to the second; None where it made no model, or one without these two.
         seconds: extracting, matching, mapping.
         images: that it placed, and that it was given.
     """
@@ -57,8 +59,11 @@ def pycolmap_module() -> Any:
     return module
 
 
-def extract_and_match(database: Path, images: Sequence[Path], camera: Camera, **verification: Any) -> dict[str, float]:
-    """Features and verified matches of photographs in one folder, taken by one known camera, into COLMAP's database.
+def extract_and_match(
+    database: Path, images: Sequence[Path], camera: Camera, **verification: Any
+) -> dict[str, float]:
+    """Features and verified matches of photographs in one folder, taken by one known camera, into
+    COLMAP's database.
 
     Returns:
         seconds of ``extract`` and ``match``.
@@ -67,14 +72,21 @@ def extract_and_match(database: Path, images: Sequence[Path], camera: Camera, **
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "OPENCV" if camera.has_distortion else "PINHOLE"
     K = camera.K
-    # COLMAP counts pixels from the corner of the image, half a pixel before the centre of the first.
+    # COLMAP counts pixels from the corner of the image, half a pixel before the centre of the
+    # first.
     numbers = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
-    reader.camera_params = ",".join(map(str, [*numbers, *camera.distortion[:4]] if camera.has_distortion else numbers))
+    reader.camera_params = ",".join(
+        map(str, [*numbers, *camera.distortion[:4]] if camera.has_distortion else numbers)
+    )
     began = time.perf_counter()
     pycolmap.extract_features(
-        database, images[0].parent, image_names=[p.name for p in images], camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=reader, device=pycolmap.Device.cpu,
-    )  # fmt: skip
+        database,
+        images[0].parent,
+        image_names=[p.name for p in images],
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        device=pycolmap.Device.cpu,
+    )
     extracted = time.perf_counter()
     options = pycolmap.TwoViewGeometryOptions()
     for name, value in verification.items():
@@ -95,9 +107,11 @@ def two_view_inliers(image1: Path, image2: Path, camera: Camera) -> tuple[int, f
 
 
 def reconstruct(images: Sequence[Path], camera: Camera) -> ColmapModel:
-    """COLMAP's sparse model: features, exhaustive matching, incremental mapping with the given camera held.
+    """COLMAP's sparse model: features, exhaustive matching, incremental mapping with the given
+    camera held.
 
-    Points seen in two photographs only are kept, as all of ours are; COLMAP leaves them out unless told.
+    Points seen in two photographs only are kept, as all of ours are; COLMAP leaves them out unless
+    told.
 
     Args:
         images: two or more in one folder; the first two define frame and unit.
@@ -117,7 +131,9 @@ def reconstruct(images: Sequence[Path], camera: Camera) -> ColmapModel:
             options.ba_refine_focal_length = options.ba_refine_extra_params = False
             options.triangulation.ignore_two_view_tracks = False
             options.mapper.init_min_tri_angle = angle
-            models = pycolmap.incremental_mapping(database, images[0].parent, folder, options=options)
+            models = pycolmap.incremental_mapping(
+                database, images[0].parent, folder, options=options
+            )
             if models:
                 break
         seconds["map"] = time.perf_counter() - began
@@ -128,11 +144,14 @@ def reconstruct(images: Sequence[Path], camera: Camera) -> ColmapModel:
 
 
 def _cloud(model: Any, images: Sequence[Path]) -> PointCloud | None:
-    placed = {image.name: image.cam_from_world() for image in model.images.values() if image.has_pose}
+    placed = {
+        image.name: image.cam_from_world() for image in model.images.values() if image.has_pose
+    }
     if not {images[0].name, images[1].name} <= placed.keys():
         return None
     first, second = (
-        (p.rotation.matrix(), np.asarray(p.translation)) for p in (placed[images[0].name], placed[images[1].name])
+        (p.rotation.matrix(), np.asarray(p.translation))
+        for p in (placed[images[0].name], placed[images[1].name])
     )
     (R, t), (R2, t2) = first, second
     baseline = float(np.linalg.norm(R2.T @ t2 - R.T @ t))

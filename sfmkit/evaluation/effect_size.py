@@ -13,9 +13,9 @@ class Effect(NamedTuple):
     """Cliff's delta with its interval.
 
     Attributes:
-        delta: P(a > b) - P(a < b) over all pairs of one of each group: 1 when all of the first are larger, 0 when neither
-            tends to be. It equals the rank-biserial correlation. 0.15, 0.33 and 0.47 are customarily called small,
-            medium and large (Romano et al. 2006).
+        delta: P(a > b) - P(a < b) over all pairs of one of each group: 1 when all of the first are
+            larger, 0 when neither tends to be. It equals the rank-biserial correlation. 0.15, 0.33
+            and 0.47 are customarily called small, medium and large (Romano et al. 2006).
         low, high: bounds of its 95 % bootstrap interval.
         n: members of the first and the second group.
     """
@@ -27,15 +27,20 @@ class Effect(NamedTuple):
 
 
 def cliffs_delta(
-    values: np.ndarray, first: np.ndarray, cells: np.ndarray | None = None, *, draws: int = 1000, seed: int = 0
+    values: np.ndarray,
+    first: np.ndarray,
+    cells: np.ndarray | None = None,
+    *,
+    draws: int = 1000,
+    seed: int = 0,
 ) -> Effect:
     """Cliff's delta between two groups (Cliff 1993), with a percentile bootstrap interval.
 
     Args:
         values: (N,) what is compared.
         first: (N,) bool: members of the first group; the others are the second.
-        cells: (N,) int: units that are drawn as a whole, where neighbours are alike and a bootstrap of single values would
-            make the interval too narrow. None: each value for itself.
+        cells: (N,) int: units that are drawn as a whole, where neighbours are alike and a bootstrap
+            of single values would make the interval too narrow. None: each value for itself.
         draws: bootstrap samples.
         seed: of the draws.
 
@@ -63,6 +68,11 @@ def cliffs_delta(
 
     rng = np.random.default_rng(seed)
     count = int(cell.max()) + 1
-    drawn = [delta(np.bincount(rng.integers(count, size=count), minlength=count)[cell]) for _ in range(draws)]
-    low, high = np.nanpercentile(drawn, (2.5, 97.5)) if np.isfinite(drawn).any() else (np.nan, np.nan)
+    drawn = [
+        delta(np.bincount(rng.integers(count, size=count), minlength=count)[cell])
+        for _ in range(draws)
+    ]
+    low, high = (
+        np.nanpercentile(drawn, (2.5, 97.5)) if np.isfinite(drawn).any() else (np.nan, np.nan)
+    )
     return Effect(delta(None), float(low), float(high), n)

@@ -1,10 +1,13 @@
-"""The fountain benchmark: what becomes of the features on the way to the cloud, and how right pose and cloud are.
+"""The fountain benchmark: what becomes of the features on the way to the cloud, and how right pose
+and cloud are.
 
-Neighbouring photographs of EPFL's fountain-P11 with true cameras, and rendered scenes whose depth is known. Every operator
-is searched and matched once a pair and preset; alone and together they are estimated with every seed.
+Neighbouring photographs of EPFL's fountain-P11 with true cameras, and rendered scenes whose depth
+is known. Every operator is searched and matched once a pair and preset; alone and together they are
+estimated with every seed.
 
-What the paper's Table 6 calls initial is read as the matches that are handed to the geometry: its text says "detected
-features" in one place and "from matching to the final point cloud" in another, and only the second fits its numbers.
+What the paper's Table 6 calls initial is read as the matches that are handed to the geometry: its
+text says "detected features" in one place and "from matching to the final point cloud" in another,
+and only the second fits its numbers.
 """
 
 from __future__ import annotations
@@ -20,24 +23,34 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import __version__
-from ..account import ALL, make_account
-from ..datasets.pairs import Pair
+from .._version import __version__
+from ..datasets.pair import Pair
 from ..datasets.strecha import strecha
 from ..datasets.synthetic import SyntheticPair, render
 from ..errors import InputError
 from ..estimation import adjust, estimate_two_view
 from ..features.tables import operator_spec
-from ..fusion import fuse
 from ..geometry.fundamental import fundamental_from_pose, sampson_distance
-from ..images import Image, read_image
+from ..io.images import Image, read_image
+from ..matching.fusion import fuse
 from ..options import PRESETS, Options
-from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs, Stopwatch, detect_all, make_cloud, match_all, pose_errors
+from ..pipeline.account import ALL, make_account
+from ..pipeline.reconstruction import (
+    OPERATORS_OF_THE_PAPER,
+    FeaturePairs,
+    Stopwatch,
+    detect_all,
+    make_cloud,
+    match_all,
+    pose_errors,
+)
 from ..types import Camera, Correspondences, Matches, PointCloud, TwoView
 from .rows import Progress, Row, RowStore, finite
 
 SEQUENCE = "fountain-P11"
-RIGHT_PX = 1.0  # Sampson distance from the true epipolar geometry below which a match counts as right
+RIGHT_PX = (
+    1.0  # Sampson distance from the true epipolar geometry below which a match counts as right
+)
 SCENES = ("courtyard", "wide", "dish")
 SCENE_SIZE = (1024, 768)
 CLOSE = 0.01  # of the depth: a point of a cloud that close to the surface counts as right
@@ -69,12 +82,14 @@ def bench_fountain(
         scenes, scene_size: the rendered scenes, and how large they are rendered.
 
     Returns:
-        Rows of two kinds: ``cloud`` (pair, preset, operator or ``multi``, merged, seed -> keypoints, matches, initial,
-        points, loss, precision, kept, rotation_deg, translation_deg, seconds) and ``scene`` (scene, preset, seed -> points,
-        median_error, p90_error (shares of the depth), close).
+        Rows of two kinds: ``cloud`` (pair, preset, operator or ``multi``, merged, seed ->
+            keypoints, matches, initial,
+        points, loss, precision, kept, rotation_deg, translation_deg, seconds) and ``scene`` (scene,
+        preset, seed -> points, median_error, p90_error (shares of the depth), close).
 
     Raises:
-        InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with other settings.
+        InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with
+            other settings.
     """
     operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
     if not operators:
@@ -85,11 +100,18 @@ def bench_fountain(
         if name not in PRESETS:
             raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
     chosen = choose_pairs(list(strecha(data, [SEQUENCE])), pairs)
-    settings = {"version": __version__, "operators": list(operators), "seeds": seeds, "max_size": max_size}
+    settings = {
+        "version": __version__,
+        "operators": list(operators),
+        "seeds": seeds,
+        "max_size": max_size,
+    }
     store = RowStore(Path(out) / "rows.jsonl", settings | {"scene_size": list(scene_size)})
     rows = store.read()
     have = {(r["kind"], r.get("pair", r.get("scene")), r["preset"]) for r in rows}
-    parts: list[tuple[str, Pair | str, str]] = [("cloud", pair, preset) for pair in chosen for preset in presets]
+    parts: list[tuple[str, Pair | str, str]] = [
+        ("cloud", pair, preset) for pair in chosen for preset in presets
+    ]
     parts += [("scene", scene, preset) for scene in scenes for preset in presets]
     for done, (kind, what, preset) in enumerate(parts):
         label = what.name if isinstance(what, Pair) else what
@@ -110,7 +132,11 @@ def bench_fountain(
     if progress is not None:
         progress(len(parts), len(parts), "")
     wanted = {("cloud", p.name) for p in chosen} | {("scene", s) for s in scenes}
-    return [r for r in rows if (r["kind"], r.get("pair", r.get("scene"))) in wanted and r["preset"] in presets]
+    return [
+        r
+        for r in rows
+        if (r["kind"], r.get("pair", r.get("scene"))) in wanted and r["preset"] in presets
+    ]
 
 
 def choose_pairs(there: list[Pair], names: Iterable[str] | None) -> list[Pair]:
@@ -125,7 +151,9 @@ def choose_pairs(there: list[Pair], names: Iterable[str] | None) -> list[Pair]:
     known = [pair.name for pair in there]
     for name in names:
         if name not in known:
-            raise InputError(f"there is no pair '{name}' of neighbours; there are {', '.join(known)}")
+            raise InputError(
+                f"there is no pair '{name}' of neighbours; there are {', '.join(known)}"
+            )
     if not names:
         raise InputError("name at least one pair")
     return [pair for pair in there if pair.name in names]
@@ -143,7 +171,9 @@ def true_fundamental(pair: Pair) -> Tensor:
     assert pair.camera1 is not None
     assert pair.camera2 is not None
     R, t = (torch.tensor(np.array(a)) for a in (pair.R, pair.t))
-    return fundamental_from_pose(R, t / t.norm(), pair.camera1.tensors()[0], pair.camera2.tensors()[0])
+    return fundamental_from_pose(
+        R, t / t.norm(), pair.camera1.tensors()[0], pair.camera2.tensors()[0]
+    )
 
 
 def right_matches(F_true: Tensor, corr: Correspondences) -> Tensor:
@@ -152,16 +182,22 @@ def right_matches(F_true: Tensor, corr: Correspondences) -> Tensor:
 
 
 def estimate_cloud(
-    corr: Correspondences, cameras: tuple[Camera, Camera], image1: Image, options: Options, seed: int
+    corr: Correspondences,
+    cameras: tuple[Camera, Camera],
+    image1: Image,
+    options: Options,
+    seed: int,
 ) -> tuple[TwoView, PointCloud | None]:
-    """The stages after fusion, as :func:`sfmkit.pipeline.reconstruct` has them."""
+    """The stages after fusion, as :func:`sfmkit.pipeline.reconstruction` has them."""
     view = estimate_two_view(corr, *cameras, options.estimate, seed=seed)
     adjustment = adjust(corr, view) if options.estimate.refine else None
     view = view if adjustment is None else adjustment.view
     return view, make_cloud(corr, view, image1, options.triangulate, adjustment)
 
 
-def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: int, picture: Path | None) -> list[Row]:
+def _pair_rows(
+    pair: Pair, operators: Sequence[str], options: Options, seeds: int, picture: Path | None
+) -> list[Row]:
     began = time.perf_counter()
     images = (read_image(pair.image1), read_image(pair.image2))
     watch = Stopwatch()
@@ -177,24 +213,38 @@ def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: in
         right = right_matches(F_true, corr)
         for seed in range(seeds):
             began = time.perf_counter()
-            view, cloud = estimate_cloud(corr, (pair.camera1, pair.camera2), images[0], options, seed)
+            view, cloud = estimate_cloud(
+                corr, (pair.camera1, pair.camera2), images[0], options, seed
+            )
             seconds = before + time.perf_counter() - began
             account = make_account(corr, view.inliers, cloud)
             line = account[ALL]
             in_cloud = 0 if cloud is None else int(right[cloud.match].sum())
             rows.append(
                 {
-                    "kind": "cloud", "pair": pair.name, "preset": options.name, "operator": name,
-                    "merged": radius is not None, "seed": seed, "keypoints": list(line.keypoints),
-                    "matches": line.matches, "initial": line.initial, "points": line.points, "loss": line.loss,
+                    "kind": "cloud",
+                    "pair": pair.name,
+                    "preset": options.name,
+                    "operator": name,
+                    "merged": radius is not None,
+                    "seed": seed,
+                    "keypoints": list(line.keypoints),
+                    "matches": line.matches,
+                    "initial": line.initial,
+                    "points": line.points,
+                    "loss": line.loss,
                     "precision": in_cloud / line.points if line.points else None,
                     "kept": in_cloud / int(right.sum()) if bool(right.any()) else None,
                     "members": {o: [account[o].initial, account[o].points] for o in members},
                     **_finite(pose_errors(view, pair.R, pair.t)),  # type: ignore[arg-type]
                     "seconds": seconds if name == ALL or len(operators) == 1 else None,
                 }
-            )  # fmt: skip
-            if seed == 0 and cloud is not None and (radius is not None or options.fuse.merge_radius is None):
+            )
+            if (
+                seed == 0
+                and cloud is not None
+                and (radius is not None or options.fuse.merge_radius is None)
+            ):
                 clouds[name] = cloud
     if picture is not None:
         from .fountain_figures import draw_clouds
@@ -203,10 +253,15 @@ def _pair_rows(pair: Pair, operators: Sequence[str], options: Options, seeds: in
     return rows
 
 
-def _sets(operators: Sequence[str], options: Options) -> list[tuple[str, tuple[str, ...], float | None]]:
-    """What is estimated: each operator alone, all together, and all without merging, as the paper counts."""
+def _sets(
+    operators: Sequence[str], options: Options
+) -> list[tuple[str, tuple[str, ...], float | None]]:
+    """What is estimated: each operator alone, all together, and all without merging, as the paper
+    counts."""
     radius = options.fuse.merge_radius
-    sets: list[tuple[str, tuple[str, ...], float | None]] = [(name, (name,), radius) for name in operators]
+    sets: list[tuple[str, tuple[str, ...], float | None]] = [
+        (name, (name,), radius) for name in operators
+    ]
     if len(operators) > 1:
         sets.append((ALL, tuple(operators), radius))
         if radius is not None:
@@ -215,30 +270,48 @@ def _sets(operators: Sequence[str], options: Options) -> list[tuple[str, tuple[s
 
 
 def _fused(
-    features: FeaturePairs, matches: dict[str, Matches], members: Sequence[str], radius: float | None
+    features: FeaturePairs,
+    matches: dict[str, Matches],
+    members: Sequence[str],
+    radius: float | None,
 ) -> Correspondences:
     return fuse({name: (*features[name], matches[name]) for name in members}, merge_radius=radius)
 
 
-def _scene_rows(scene: str, operators: Sequence[str], options: Options, seeds: int, size: tuple[int, int]) -> list[Row]:
-    """How far the cloud of a rendered scene lies from its surfaces, at the true length of the baseline."""
+def _scene_rows(
+    scene: str, operators: Sequence[str], options: Options, seeds: int, size: tuple[int, int]
+) -> list[Row]:
+    """How far the cloud of a rendered scene lies from its surfaces, at the true length of the
+    baseline."""
     made = _rendered(scene, size)
     images = (read_image(made.image1), read_image(made.image2))
     features, _ = detect_all(images, operators, options.detect)
-    corr = _fused(features, match_all(features, options.match), operators, options.fuse.merge_radius)
+    corr = _fused(
+        features, match_all(features, options.match), operators, options.fuse.merge_radius
+    )
     rows = []
     for seed in range(seeds):
         view, cloud = estimate_cloud(corr, (made.camera1, made.camera2), images[0], options, seed)
-        row: Row = {"kind": "scene", "scene": scene, "preset": options.name, "seed": seed, "initial": len(corr)}
+        row: Row = {
+            "kind": "scene",
+            "scene": scene,
+            "preset": options.name,
+            "seed": seed,
+            "initial": len(corr),
+        }
         row |= {"points": 0, "median_error": None, "p90_error": None, "close": None}
         if cloud is not None and len(cloud):
             x1 = corr.x1[cloud.match].numpy()
-            error = surface_error(cloud.xyz.numpy() * np.linalg.norm(made.t), x1, made.depth_at(1, x1), made.camera1)
+            error = surface_error(
+                cloud.xyz.numpy() * np.linalg.norm(made.t), x1, made.depth_at(1, x1), made.camera1
+            )
             median, p90 = np.quantile(error, (0.5, 0.9))
             row |= {
-                "points": len(cloud), "median_error": float(median), "p90_error": finite(float(p90)),
+                "points": len(cloud),
+                "median_error": float(median),
+                "p90_error": finite(float(p90)),
                 "close": float((error < CLOSE).mean()),
-            }  # fmt: skip
+            }
         rows.append(row | _finite(pose_errors(view, made.R, made.t)))
     return rows
 
@@ -250,7 +323,8 @@ def _rendered(scene: str, size: tuple[int, int]) -> SyntheticPair:
 
 
 def surface_error(X: np.ndarray, x1: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """(N,) distance of points X (N, 3) from what the pixels x1 (N, 2) show at `depth` (N,), over that depth; inf for sky."""
+    """(N,) distance of points X (N, 3) from what the pixels x1 (N, 2) show at `depth` (N,), over
+    that depth; inf for sky."""
     rays = np.column_stack([x1, np.ones(len(x1))]) @ np.linalg.inv(camera.K).T
     sky = ~np.isfinite(depth)
     truth = np.where(sky, 1.0, depth)[:, None] * rays

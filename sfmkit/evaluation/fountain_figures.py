@@ -8,10 +8,10 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..account import ALL
+from .._utils.writing import atomic_write
+from ..pipeline.account import ALL
 from ..types import Camera, PointCloud
 from ..viz.splats import splat
-from ..writing import atomic_write
 
 _ORDER = ("fast-brief", "orb", "surf")  # as in the paper; others come after, all together last
 _DOT = 3  # pixels
@@ -19,7 +19,9 @@ _DOT = 3  # pixels
 
 def draw_clouds(path: Path, clouds: Mapping[str, PointCloud], camera: Camera) -> None:
     """Every cloud as camera 1 sees it, two in a row, as PNG."""
-    names = sorted(clouds, key=lambda n: (n == ALL, _ORDER.index(n) if n in _ORDER else len(_ORDER)))
+    names = sorted(
+        clouds, key=lambda n: (n == ALL, _ORDER.index(n) if n in _ORDER else len(_ORDER))
+    )
     lines = max(1, (len(names) + 1) // 2)
     ratio = camera.size_wh[1] / camera.size_wh[0]
     figure = Figure(figsize=(12, lines * (6 * ratio + 0.3)), layout="constrained")
@@ -28,7 +30,9 @@ def draw_clouds(path: Path, clouds: Mapping[str, PointCloud], camera: Camera) ->
         ax.set_axis_off()
     for ax, name in zip(axes, names):
         ax.imshow(splat(clouds[name], camera, width=800, dot=_DOT), interpolation="none")
-        ax.set_title(f"{'all together' if name == ALL else name}: {len(clouds[name]):,} points", fontsize=11)
+        ax.set_title(
+            f"{'all together' if name == ALL else name}: {len(clouds[name]):,} points", fontsize=11
+        )
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:

@@ -1,4 +1,5 @@
-"""The paper's Table 6 and Figure 11 from the rows of the fountain benchmark, and what the truth says of them."""
+"""The paper's Table 6 and Figure 11 from the rows of the fountain benchmark, and what the truth
+says of them."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..account import ALL
+from ..pipeline.account import ALL
+from ..reports.result import Cell, Column, Result, ResultFigure, ResultTable
 from .fountain import RIGHT_PX, cloud_picture
 from .paper import FOUNTAIN
-from .result import Cell, Column, Result, ResultFigure, ResultTable
 from .rows import Row
 
 PRESET_TITLES = {
@@ -25,7 +26,9 @@ def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
     clouds = [r for r in rows if r["kind"] == "cloud"]
     first = clouds[0]["pair"]
     presets = list(dict.fromkeys(r["preset"] for r in clouds))
-    tables = [_table_6([r for r in clouds if r["pair"] == first and r["preset"] == p], p) for p in presets]
+    tables = [
+        _table_6([r for r in clouds if r["pair"] == first and r["preset"] == p], p) for p in presets
+    ]
     tables.append(_truth_table([r for r in clouds if r["pair"] == first]))
     if len({r["pair"] for r in clouds}) > 1:
         tables.append(_pairs_table(clouds))
@@ -88,25 +91,57 @@ def _table_6(rows: Sequence[Row], preset: str) -> ResultTable:
         r = group[0]
         points, loss = _median(group, "points"), _median(group, "loss")
         initial, paper_points, paper_loss = FOUNTAIN.get(r["operator"], (None, None, None))
-        inside = None if together is None or name not in together[0]["members"] else together[0]["members"][name][1]
-        share, whole = (
-            (None, None) if together is None else (r["initial"] / together[0]["initial"], _median(together, "points"))
+        inside = (
+            None
+            if together is None or name not in together[0]["members"]
+            else together[0]["members"][name][1]
         )
-        lines.append((
-            name, sum(r["keypoints"]) // 2, r["matches"], r["initial"], initial, _percent(share), points, paper_points,
-            _percent(None if not whole or points is None else points / whole), inside, _percent(loss), paper_loss,
-        ))  # fmt: skip
+        share, whole = (
+            (None, None)
+            if together is None
+            else (r["initial"] / together[0]["initial"], _median(together, "points"))
+        )
+        lines.append(
+            (
+                name,
+                sum(r["keypoints"]) // 2,
+                r["matches"],
+                r["initial"],
+                initial,
+                _percent(share),
+                points,
+                paper_points,
+                _percent(None if not whole or points is None else points / whole),
+                inside,
+                _percent(loss),
+                paper_loss,
+            )
+        )
     columns = (
-        Column("operator"), Column("keypoints an image", ","), Column("matches", ","), Column("initial", ","),
-        Column("paper: initial", ",", paper=True), Column("of all, %", ".1f"), Column("points", ",.0f"),
-        Column("paper: points", ",", paper=True), Column("of all, %", ".1f"), Column("points within the fusion", ","),
-        Column("loss, %", ".2f"), Column("paper: loss, %", ".2f", paper=True),
-    )  # fmt: skip
+        Column("operator"),
+        Column("keypoints an image", ","),
+        Column("matches", ","),
+        Column("initial", ","),
+        Column("paper: initial", ",", paper=True),
+        Column("of all, %", ".1f"),
+        Column("points", ",.0f"),
+        Column("paper: points", ",", paper=True),
+        Column("of all, %", ".1f"),
+        Column("points within the fusion", ","),
+        Column("loss, %", ".2f"),
+        Column("paper: loss, %", ".2f", paper=True),
+    )
     note = (
         "Single operators are estimated alone, as the paper's seem to be (their points add up to 26,725, not to "
         "27,673). Points within the fusion: those of all together that the operator found, alone or with others."
     )
-    return ResultTable(f"table-6-{preset}", f"Table 6: features through the process, {PRESET_TITLES[preset]}", columns, tuple(lines), note)  # fmt: skip
+    return ResultTable(
+        f"table-6-{preset}",
+        f"Table 6: features through the process, {PRESET_TITLES[preset]}",
+        columns,
+        tuple(lines),
+        note,
+    )
 
 
 def _truth_table(rows: Sequence[Row]) -> ResultTable:
@@ -117,23 +152,41 @@ def _truth_table(rows: Sequence[Row]) -> ResultTable:
                 max((r[k] for r in group if r[k] is not None), default=None)
                 for k in ("rotation_deg", "translation_deg")
             ]
-            lines.append((
-                preset, name, _median(group, "points"), _percent(_median(group, "precision")),
-                _percent(_median(group, "kept")), _median(group, "rotation_deg"), worst[0],
-                _median(group, "translation_deg"), worst[1], _median(group, "seconds"),
-            ))  # fmt: skip
+            lines.append(
+                (
+                    preset,
+                    name,
+                    _median(group, "points"),
+                    _percent(_median(group, "precision")),
+                    _percent(_median(group, "kept")),
+                    _median(group, "rotation_deg"),
+                    worst[0],
+                    _median(group, "translation_deg"),
+                    worst[1],
+                    _median(group, "seconds"),
+                )
+            )
     columns = (
-        Column("preset"), Column("operator"), Column("points", ",.0f"), Column("right, %", ".2f"),
-        Column("right ones kept, %", ".1f"), Column("rotation, deg", ".3f"), Column("worst", ".3f"),
-        Column("translation, deg", ".3f"), Column("worst", ".3f"), Column("seconds", ".1f"),
-    )  # fmt: skip
+        Column("preset"),
+        Column("operator"),
+        Column("points", ",.0f"),
+        Column("right, %", ".2f"),
+        Column("right ones kept, %", ".1f"),
+        Column("rotation, deg", ".3f"),
+        Column("worst", ".3f"),
+        Column("translation, deg", ".3f"),
+        Column("worst", ".3f"),
+        Column("seconds", ".1f"),
+    )
     note = (
         f"Right: of the cloud's matches, those within {RIGHT_PX:g} px of the true epipolar geometry (Sampson distance). Right "
         "ones kept: of all right matches, those that became points. Errors of rotation and of the translation's "
         "direction: median and worst of the seeds; below about 0.03 and 0.1 degrees they measure the truth's own error. "
         "Seconds: reading to triangulating, on the machine and under the load stated."
     )
-    return ResultTable("truth", f"Against the true cameras, pair {rows[0]['pair']}", columns, tuple(lines), note)
+    return ResultTable(
+        "truth", f"Against the true cameras, pair {rows[0]['pair']}", columns, tuple(lines), note
+    )
 
 
 def _pairs_table(rows: Sequence[Row]) -> ResultTable:
@@ -141,18 +194,36 @@ def _pairs_table(rows: Sequence[Row]) -> ResultTable:
     fusion = [r for r in rows if r["operator"] == ALL] or list(rows)
     for pair in dict.fromkeys(r["pair"] for r in fusion):
         for preset in dict.fromkeys(r["preset"] for r in fusion):
-            for name, group in _lines([r for r in fusion if r["pair"] == pair and r["preset"] == preset]):
-                lines.append((
-                    pair, preset, "" if name == ALL else name.removeprefix(f"{ALL}, "), group[0]["initial"],
-                    _median(group, "points"), _percent(_median(group, "loss")), _percent(_median(group, "precision")),
-                    _median(group, "rotation_deg"), _median(group, "translation_deg"),
-                ))  # fmt: skip
+            for name, group in _lines(
+                [r for r in fusion if r["pair"] == pair and r["preset"] == preset]
+            ):
+                lines.append(
+                    (
+                        pair,
+                        preset,
+                        "" if name == ALL else name.removeprefix(f"{ALL}, "),
+                        group[0]["initial"],
+                        _median(group, "points"),
+                        _percent(_median(group, "loss")),
+                        _percent(_median(group, "precision")),
+                        _median(group, "rotation_deg"),
+                        _median(group, "translation_deg"),
+                    )
+                )
     columns = (
-        Column("pair"), Column("preset"), Column(""), Column("initial", ","), Column("points", ",.0f"),
-        Column("loss, %", ".2f"), Column("right, %", ".2f"), Column("rotation, deg", ".3f"),
+        Column("pair"),
+        Column("preset"),
+        Column(""),
+        Column("initial", ","),
+        Column("points", ",.0f"),
+        Column("loss, %", ".2f"),
+        Column("right, %", ".2f"),
+        Column("rotation, deg", ".3f"),
         Column("translation, deg", ".3f"),
-    )  # fmt: skip
-    return ResultTable("pairs", "All operators together on the neighbours of the sequence", columns, tuple(lines))
+    )
+    return ResultTable(
+        "pairs", "All operators together on the neighbours of the sequence", columns, tuple(lines)
+    )
 
 
 def _scenes_table(rows: Sequence[Row]) -> ResultTable:
@@ -160,18 +231,38 @@ def _scenes_table(rows: Sequence[Row]) -> ResultTable:
     for scene in dict.fromkeys(r["scene"] for r in rows):
         for preset in dict.fromkeys(r["preset"] for r in rows):
             group = [r for r in rows if r["scene"] == scene and r["preset"] == preset]
-            lines.append((
-                scene, preset, group[0]["initial"], _median(group, "points"), _percent(_median(group, "median_error")),
-                _percent(_median(group, "p90_error")), _percent(_median(group, "close")), _median(group, "rotation_deg"),
-                _median(group, "translation_deg"),
-            ))  # fmt: skip
+            lines.append(
+                (
+                    scene,
+                    preset,
+                    group[0]["initial"],
+                    _median(group, "points"),
+                    _percent(_median(group, "median_error")),
+                    _percent(_median(group, "p90_error")),
+                    _percent(_median(group, "close")),
+                    _median(group, "rotation_deg"),
+                    _median(group, "translation_deg"),
+                )
+            )
     columns = (
-        Column("scene"), Column("preset"), Column("initial", ","), Column("points", ",.0f"),
-        Column("distance, % of depth", ".2f"), Column("9 of 10 below", ".2f"), Column("within 1 %, %", ".1f"),
-        Column("rotation, deg", ".3f"), Column("translation, deg", ".3f"),
-    )  # fmt: skip
+        Column("scene"),
+        Column("preset"),
+        Column("initial", ","),
+        Column("points", ",.0f"),
+        Column("distance, % of depth", ".2f"),
+        Column("9 of 10 below", ".2f"),
+        Column("within 1 %, %", ".1f"),
+        Column("rotation, deg", ".3f"),
+        Column("translation, deg", ".3f"),
+    )
     note = (
         "Distance of the points from the surface that their pixel of image 1 shows, the cloud scaled by the true length of "
         "the baseline and not aligned otherwise; in per cent of the depth, median. All operators together."
     )
-    return ResultTable("scenes", "Rendered scenes: the cloud's distance from the surfaces", columns, tuple(lines), note)
+    return ResultTable(
+        "scenes",
+        "Rendered scenes: the cloud's distance from the surfaces",
+        columns,
+        tuple(lines),
+        note,
+    )

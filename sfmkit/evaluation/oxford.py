@@ -1,7 +1,9 @@
-"""The Oxford benchmark: homographies of single operators and of their fusion, by the paper's recipe and by ours.
+"""The Oxford benchmark: homographies of single operators and of their fusion, by the paper's recipe
+and by ours.
 
-Every image is searched once, every operator's features are matched once, and all seeds and recipes use the same matches.
-Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on where it stopped.
+Every image is searched once, every operator's features are matched once, and all seeds and recipes
+use the same matches. Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on
+where it stopped.
 """
 
 from __future__ import annotations
@@ -17,23 +19,30 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from .. import __version__
-from ..account import ALL
+from .._version import __version__
 from ..datasets.oxford import oxford
-from ..datasets.pairs import Pair
+from ..datasets.pair import Pair
 from ..errors import InputError
 from ..estimation.planar import PAPER_PLANAR, PlanarOptions
 from ..features import detect
 from ..features.tables import operator_spec
 from ..geometry.homography import homography_sampson
 from ..geometry.homography_refinement import refine_homography
-from ..images import read_image
-from ..matching import match
+from ..io.images import read_image
+from ..matching.nearest import match
+from ..metrics import (
+    corner_error,
+    homography_rmse,
+    match_errors,
+    matching_score,
+    mean_matching_accuracy,
+    repeatability,
+)
 from ..options import DEFAULT, PAPER
-from ..pipeline import OPERATORS_OF_THE_PAPER, FeaturePairs
-from ..registration import fuse_all, register_matches
+from ..pipeline.account import ALL
+from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, FeaturePairs
+from ..pipeline.registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches
-from .metrics import corner_error, homography_rmse, match_errors, matching_score, mean_matching_accuracy, repeatability
 from .rows import Progress, Row, RowStore, finite
 
 FLOOR = "floor"
@@ -62,13 +71,16 @@ def bench_oxford(
         workers: processes; None for one a core.
 
     Returns:
-        Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed -> rmse, corner_error_px,
-        matches, inliers, seconds; rmse and corner_error_px are None where the verdict was too little evidence),
-        ``floor`` (the same for a fit to the fused matches that agree with the truth within 3 px) and ``features``
-        (per operator: keypoints, matches, repeatability, matching_score, mma, seconds).
+        Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
+            rmse, corner_error_px,
+        matches, inliers, seconds; rmse and corner_error_px are None where the verdict was too
+        little evidence), ``floor`` (the same for a fit to the fused matches that agree with the
+        truth within 3 px) and ``features`` (per operator: keypoints, matches, repeatability,
+        matching_score, mma, seconds).
 
     Raises:
-        InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other settings.
+        InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other
+            settings.
     """
     operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
     if not operators:
@@ -76,7 +88,10 @@ def bench_oxford(
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
     pairs = list(oxford(data, sequences))
-    store = RowStore(Path(out) / "rows.jsonl", {"version": __version__, "operators": list(operators), "seeds": seeds})
+    store = RowStore(
+        Path(out) / "rows.jsonl",
+        {"version": __version__, "operators": list(operators), "seeds": seeds},
+    )
     rows = store.read()
     have = {(row["sequence"], row["pair"]) for row in rows}
     missing = [pair for pair in pairs if (pair.sequence, pair.name) not in have]
@@ -85,7 +100,9 @@ def bench_oxford(
         progress(done, len(pairs), "")
     workers = min(workers or os.cpu_count() or 1, max(len(missing), 1))
     if workers == 1:
-        results: Iterable[tuple[Pair, list[Row]]] = ((pair, evaluate_pair(pair, operators, seeds)) for pair in missing)
+        results: Iterable[tuple[Pair, list[Row]]] = (
+            (pair, evaluate_pair(pair, operators, seeds)) for pair in missing
+        )
         for pair, new in results:
             done += 1
             _keep(store, rows, new, progress, done, len(pairs), pair)
@@ -105,7 +122,13 @@ def bench_oxford(
 
 
 def _keep(
-    store: RowStore, rows: list[Row], new: list[Row], progress: Progress | None, done: int, total: int, pair: Pair
+    store: RowStore,
+    rows: list[Row],
+    new: list[Row],
+    progress: Progress | None,
+    done: int,
+    total: int,
+    pair: Pair,
 ) -> None:
     store.append(new)
     rows += new
@@ -143,27 +166,46 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
         repeated, _ = repeatability(f1, f2, pair.H)
         rows.append(
             {
-                "kind": "features", **where, "operator": name, "keypoints": [len(f1), len(f2)], "matches": len(m),
-                "repeatability": repeated, "matching_score": matching_score(f1, f2, m, pair.H),
+                "kind": "features",
+                **where,
+                "operator": name,
+                "keypoints": [len(f1), len(f2)],
+                "matches": len(m),
+                "repeatability": repeated,
+                "matching_score": matching_score(f1, f2, m, pair.H),
                 "mma": mean_matching_accuracy(match_errors(f1, f2, m, pair.H)),
-                "seconds": matched - began, "match_seconds": matched - detected,
+                "seconds": matched - began,
+                "match_seconds": matched - detected,
             }
-        )  # fmt: skip
+        )
     corr = fuse_all(features, matches, DEFAULT.fuse)
-    rows.append({"kind": FLOOR, **where, **_floor(corr.x1, corr.x2, pair.H, next(iter(features.values()))[0].size_wh)})
+    rows.append(
+        {
+            "kind": FLOOR,
+            **where,
+            **_floor(corr.x1, corr.x2, pair.H, next(iter(features.values()))[0].size_wh),
+        }
+    )
 
     single = [(name, {name: features[name]}, {name: matches[name]}) for name in operators]
     both = [*single, (ALL, features, matches)] if len(operators) > 1 else single
     for name, mine, theirs in both:
-        for recipe, options, planar in ((OURS, DEFAULT, PlanarOptions()), (PAPERS, PAPER, PAPER_PLANAR)):
+        for recipe, options, planar in (
+            (OURS, DEFAULT, PlanarOptions()),
+            (PAPERS, PAPER, PAPER_PLANAR),
+        ):
             fused = fuse_all(mine, theirs, options.fuse)
             for seed in range(seeds):
                 rows.append(
                     {
-                        "kind": "estimate", **where, "operator": name, "recipe": recipe, "seed": seed,
+                        "kind": "estimate",
+                        **where,
+                        "operator": name,
+                        "recipe": recipe,
+                        "seed": seed,
                         **_estimate(mine, theirs, fused, pair.H, planar, seed),
                     }
-                )  # fmt: skip
+                )
     return rows
 
 
@@ -193,7 +235,8 @@ def _estimate(
 
 
 def _floor(x1: torch.Tensor, x2: torch.Tensor, H_true: np.ndarray, size_wh: tuple[int, int]) -> Row:
-    """How far from the truth a fit ends that knows it: the truth's own error, and what the matches cannot tell."""
+    """How far from the truth a fit ends that knows it: the truth's own error, and what the matches
+    cannot tell."""
     T = torch.from_numpy(H_true.copy())
     right = homography_sampson(T, x1, x2) < FLOOR_PX**2
     H = refine_homography(T, x1[right], x2[right], threshold_px=FLOOR_PX).numpy()

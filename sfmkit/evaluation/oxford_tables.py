@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..account import ALL
+from .._utils.writing import atomic_write
+from ..metrics import error_auc
+from ..pipeline.account import ALL
+from ..reports.result import Cell, Column, Result, ResultFigure, ResultTable
 from ..viz.colours import operator_colour
-from ..writing import atomic_write
-from .metrics import error_auc
 from .oxford import FLOOR, OURS, PAPERS
 from .paper import OXFORD, OXFORD_FIGURES, OXFORD_TABLES
-from .result import Cell, Column, Result, ResultFigure, ResultTable
 from .rows import Row
 
 SOLVED_PX = 10.0  # mean corner error below which a pair counts as solved
@@ -30,10 +30,14 @@ def solved(row: Row) -> bool:
 
 def estimates(rows: Sequence[Row], **wanted: object) -> list[Row]:
     """The rows of estimates whose fields have these values."""
-    return [r for r in rows if r["kind"] == "estimate" and all(r[k] == v for k, v in wanted.items())]
+    return [
+        r for r in rows if r["kind"] == "estimate" and all(r[k] == v for k, v in wanted.items())
+    ]
 
 
-def sequence_rmse(rows: Sequence[Row], *, only_solved: bool) -> tuple[float, float, float, int, int]:
+def sequence_rmse(
+    rows: Sequence[Row], *, only_solved: bool
+) -> tuple[float, float, float, int, int]:
     """Mean RMSE over the pairs, seed by seed.
 
     Args:
@@ -41,12 +45,15 @@ def sequence_rmse(rows: Sequence[Row], *, only_solved: bool) -> tuple[float, flo
         only_solved: leave out the pairs that are not; otherwise those without an estimate.
 
     Returns:
-        median, lowest and highest over the seeds (NaN without any pair); pairs solved in every seed; pairs.
+        median, lowest and highest over the seeds (NaN without any pair); pairs solved in every
+        seed; pairs.
     """
     means = []
     for seed in sorted({r["seed"] for r in rows}):
         values = [
-            r["rmse"] for r in rows if r["seed"] == seed and r["rmse"] is not None and (solved(r) or not only_solved)
+            r["rmse"]
+            for r in rows
+            if r["seed"] == seed and r["rmse"] is not None and (solved(r) or not only_solved)
         ]
         means.append(np.mean(values) if values else np.nan)
     pairs = sorted({r["pair"] for r in rows})
@@ -77,11 +84,14 @@ def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
 
 def operators_of(rows: Sequence[Row]) -> list[str]:
     """The operators that were run, all together first."""
-    return sorted(dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != ALL)
+    return sorted(
+        dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != ALL
+    )
 
 
 def tables(rows: Sequence[Row]) -> list[ResultTable]:
-    """One table for each of the paper's Tables 2 to 5 of which there are rows, and what the field measures."""
+    """One table for each of the paper's Tables 2 to 5 of which there are rows, and what the field
+    measures."""
     made = []
     for number, names in OXFORD_TABLES.items():
         here = [name for name in names if estimates(rows, sequence=name)]
@@ -101,23 +111,41 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
             ours, low, high, n, of = sequence_rmse(mine, only_solved=True)
             again, *_, m, _ = sequence_rmse(theirs, only_solved=False)
             rmse, features = OXFORD.get(operator, {}).get(sequence, (None, None))
-            lines.append((
-                "", operator, ours, "" if np.isnan(ours) else f"{low:.2f}–{high:.2f}", f"{n}/{of}",
-                None if rmse is None else ours - rmse, rmse, again, f"{m}/{of}",
-                float(np.mean([r["matches"] for r in theirs])), features,
-            ))  # fmt: skip
+            lines.append(
+                (
+                    "",
+                    operator,
+                    ours,
+                    "" if np.isnan(ours) else f"{low:.2f}–{high:.2f}",
+                    f"{n}/{of}",
+                    None if rmse is None else ours - rmse,
+                    rmse,
+                    again,
+                    f"{m}/{of}",
+                    float(np.mean([r["matches"] for r in theirs])),
+                    features,
+                )
+            )
     return ResultTable(
         f"table-{number}",
         f"Table {number}: mean RMSE of H, {' and '.join(sequences)}",
         (
-            Column("sequence"), Column("operator"), Column("ours", ".2f"), Column("over seeds", ">"), Column("solved", ">"),
-            Column("ours less paper", "+.2f"), Column("paper", ".2f", paper=True), Column("its recipe, rerun", ".2f"),
-            Column("solved", ">"), Column("matches", ",.0f"), Column("paper: features", ",", paper=True),
+            Column("sequence"),
+            Column("operator"),
+            Column("ours", ".2f"),
+            Column("over seeds", ">"),
+            Column("solved", ">"),
+            Column("ours less paper", "+.2f"),
+            Column("paper", ".2f", paper=True),
+            Column("its recipe, rerun", ".2f"),
+            Column("solved", ">"),
+            Column("matches", ",.0f"),
+            Column("paper: features", ",", paper=True),
         ),
         tuple(lines),
         "Ours: mean over the solved pairs, median of the seeds. Its recipe, rerun: the paper's recipe on the same matches, "
         "mean over the pairs with an estimate, right or wrong. Solved: pairs solved in every seed.",
-    )  # fmt: skip
+    )
 
 
 def _corner_table(rows: Sequence[Row]) -> ResultTable:
@@ -126,19 +154,32 @@ def _corner_table(rows: Sequence[Row]) -> ResultTable:
         for recipe in (OURS, PAPERS):
             mine = estimates(rows, operator=operator, recipe=recipe)
             pairs = {(r["sequence"], r["pair"]) for r in mine}
-            every = sum(all(solved(r) for r in mine if (r["sequence"], r["pair"]) == p) for p in pairs)
+            every = sum(
+                all(solved(r) for r in mine if (r["sequence"], r["pair"]) == p) for p in pairs
+            )
             wrong = sum(r["rmse"] is not None and not solved(r) for r in mine)
-            errors = [np.inf if r["corner_error_px"] is None else r["corner_error_px"] for r in mine]
+            errors = [
+                np.inf if r["corner_error_px"] is None else r["corner_error_px"] for r in mine
+            ]
             auc = error_auc(errors, (1, 3, 5, 10))
             seconds = float(np.median([r["seconds"] for r in mine]))
-            lines.append((operator, recipe, f"{every}/{len(pairs)}", f"{wrong}/{len(mine)}", *auc, seconds))
+            lines.append(
+                (operator, recipe, f"{every}/{len(pairs)}", f"{wrong}/{len(mine)}", *auc, seconds)
+            )
     columns = (
-        Column("operator"), Column("recipe"), Column("solved in every seed", ">"), Column("wrong, not withheld", ">"),
-        *(Column(f"AUC {t} px", ".3f") for t in (1, 3, 5, 10)), Column("s per pair", ".2f"),
-    )  # fmt: skip
+        Column("operator"),
+        Column("recipe"),
+        Column("solved in every seed", ">"),
+        Column("wrong, not withheld", ">"),
+        *(Column(f"AUC {t} px", ".3f") for t in (1, 3, 5, 10)),
+        Column("s per pair", ".2f"),
+    )
     note = (
         f"A pair is solved where the corners are off by less than {SOLVED_PX:g} px in the mean ("
-        + ", ".join(f"{px:g} px on {' '.join(pair)}, whose truth is itself off" for pair, px in SOLVED_PX_OFF.items())
+        + ", ".join(
+            f"{px:g} px on {' '.join(pair)}, whose truth is itself off"
+            for pair, px in SOLVED_PX_OFF.items()
+        )
         + "). AUC: area under the curve of the share of pairs within an error."
     )
     return ResultTable("corners", "All pairs: corner error", columns, tuple(lines), note)
@@ -155,17 +196,32 @@ def _feature_table(rows: Sequence[Row]) -> ResultTable:
             float(np.mean([row[key] for row in r]))
             for key in ("keypoints", "matches", "repeatability", "matching_score")
         ]
-        lines.append((operator, *means, *(float(mma[t - 1]) for t in shown), float(np.mean([w["seconds"] for w in r]))))
+        lines.append(
+            (
+                operator,
+                *means,
+                *(float(mma[t - 1]) for t in shown),
+                float(np.mean([w["seconds"] for w in r])),
+            )
+        )
     columns = (
-        Column("operator"), Column("keypoints", ",.0f"), Column("matches", ",.0f"), Column("repeatability", ".3f"),
-        Column("matching score", ".3f"), *(Column(f"MMA {t} px", ".3f") for t in shown), Column("s per pair", ".2f"),
-    )  # fmt: skip
-    note = "MMA: mean matching accuracy, the share of the matches within that distance of the truth."
+        Column("operator"),
+        Column("keypoints", ",.0f"),
+        Column("matches", ",.0f"),
+        Column("repeatability", ".3f"),
+        Column("matching score", ".3f"),
+        *(Column(f"MMA {t} px", ".3f") for t in shown),
+        Column("s per pair", ".2f"),
+    )
+    note = (
+        "MMA: mean matching accuracy, the share of the matches within that distance of the truth."
+    )
     return ResultTable("operators", "Operators: means over the pairs", columns, tuple(lines), note)
 
 
 def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
-    """Figures 7 to 10, pair by pair on a log axis, our recipe above and the paper's below, as PNG files."""
+    """Figures 7 to 10, pair by pair on a log axis, our recipe above and the paper's below, as PNG
+    files."""
     operators = operators_of(rows)
     drawn = []
     for number, names in OXFORD_FIGURES.items():
@@ -176,22 +232,48 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
         axes = figure.subplots(2, len(here), sharey="col", squeeze=False)
         for column, sequence in enumerate(here):
             pairs = sorted({r["pair"] for r in estimates(rows, sequence=sequence)})
-            for line, (recipe, title) in enumerate(((OURS, "ours"), (PAPERS, "the paper's recipe"))):
+            for line, (recipe, title) in enumerate(
+                ((OURS, "ours"), (PAPERS, "the paper's recipe"))
+            ):
                 ax = axes[line, column]
                 for k, operator in enumerate(operators):
                     mine = estimates(rows, sequence=sequence, operator=operator, recipe=recipe)
-                    values = [[r["rmse"] for r in mine if r["pair"] == p and r["rmse"] is not None] for p in pairs]
+                    values = [
+                        [r["rmse"] for r in mine if r["pair"] == p and r["rmse"] is not None]
+                        for p in pairs
+                    ]
                     heights = [np.median(v) if v else np.nan for v in values]
-                    at = np.arange(len(pairs)) + (k - (len(operators) - 1) / 2) * 0.8 / len(operators)
-                    ax.bar(at, heights, 0.8 / len(operators), label=operator, color=operator_colour(operator))
-                floors = {r["pair"]: r["rmse"] for r in rows if r["kind"] == FLOOR and r["sequence"] == sequence}
+                    at = np.arange(len(pairs)) + (k - (len(operators) - 1) / 2) * 0.8 / len(
+                        operators
+                    )
+                    ax.bar(
+                        at,
+                        heights,
+                        0.8 / len(operators),
+                        label=operator,
+                        color=operator_colour(operator),
+                    )
+                floors = {
+                    r["pair"]: r["rmse"]
+                    for r in rows
+                    if r["kind"] == FLOOR and r["sequence"] == sequence
+                }
                 for x, p in enumerate(pairs):
-                    ax.hlines(floors[p], x - 0.45, x + 0.45, colors="black", linestyles="dotted", linewidth=1)
+                    ax.hlines(
+                        floors[p],
+                        x - 0.45,
+                        x + 0.45,
+                        colors="black",
+                        linestyles="dotted",
+                        linewidth=1,
+                    )
                 ax.set(yscale="log", title=f"{sequence}, {title}", ylabel="RMSE of H")
                 ax.set_xticks(range(len(pairs)), [f"I{p.replace('-', '')}" for p in pairs])
                 ax.grid(axis="y", alpha=0.3)
         axes[0, 0].legend(fontsize=8)
-        figure.suptitle(f"Figure {number}: dotted, the truth's floor; no bar, too little evidence", fontsize=10)
+        figure.suptitle(
+            f"Figure {number}: dotted, the truth's floor; no bar, too little evidence", fontsize=10
+        )
         file = folder / f"figure{number:02d}.png"
         with atomic_write(file) as temporary:
             FigureCanvasAgg(figure)

@@ -20,7 +20,8 @@ def finite(value: float | None) -> float | None:
 
 
 class RowStore:
-    """Rows on disk, one JSON object a line; the first line holds the settings that they were made with."""
+    """Rows on disk, one JSON object a line; the first line holds the settings that they were made
+    with."""
 
     def __init__(self, path: Path, settings: dict[str, Any]):
         self.path, self.settings = path, settings
@@ -42,7 +43,9 @@ class RowStore:
         try:
             first, *rows = [json.loads(line) for line in text.splitlines()] or [{}]
         except json.JSONDecodeError as error:
-            raise InputError(f"{self.path} is damaged ({error}); remove it to begin again") from None
+            raise InputError(
+                f"{self.path} is damaged ({error}); remove it to begin again"
+            ) from None
         if first.get("settings") != self.settings:
             raise InputError(
                 f"{self.path} was made with {first.get('settings')}, not {self.settings}; choose another --out, or "

@@ -1,4 +1,5 @@
-"""The drone benchmark: small shift and wide baseline, beside a photogrammetry program run on the same photographs."""
+"""The drone benchmark: small shift and wide baseline, beside a photogrammetry program run on the
+same photographs."""
 
 from __future__ import annotations
 
@@ -12,18 +13,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from .. import __version__
-from ..account import ALL
-from ..cameras import camera_from_exif
-from ..cloud import read_ply, write_ply
-from ..datasets.pairs import Pair
+from .._version import __version__
+from ..datasets.pair import Pair
 from ..datasets.uav import uav
 from ..errors import InputError, SfmError
 from ..features.tables import operator_spec
 from ..geometry.reprojection import project
-from ..images import read_image
+from ..io.cameras import camera_from_exif
+from ..io.images import read_image
+from ..io.ply import read_ply, write_ply
 from ..options import PRESETS
-from ..pipeline import OPERATORS_OF_THE_PAPER, reconstruct
+from ..pipeline.account import ALL
+from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, reconstruct
 from ..types import Camera, PointCloud
 from . import colmap_peer
 from .rows import Progress, Row, RowStore
@@ -37,7 +38,8 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Flight:
-    """The photographs of a flight, and its pairs case by case; the first pair of each begins with the first photograph."""
+    """The photographs of a flight, and its pairs case by case; the first pair of each begins with
+    the first photograph."""
 
     photographs: tuple[Path, ...]
     cases: dict[str, list[Pair]]
@@ -45,7 +47,8 @@ class Flight:
 
 
 def open_flight(data: str | os.PathLike | None, sequence: str | None, step: int | None) -> Flight:
-    """The photographs of a sequence (None: the first), their camera by EXIF, and the pairs 1 and `step` apart.
+    """The photographs of a sequence (None: the first), their camera by EXIF, and the pairs 1 and
+    `step` apart.
 
     Raises:
         InputError: missing data, too few photographs, no focal length in EXIF.
@@ -64,7 +67,8 @@ def open_flight(data: str | os.PathLike | None, sequence: str | None, step: int 
 
 
 def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
-    """``X0,Y0,X1,Y1`` in pixels of the first photograph; None: the middle third of it in both directions.
+    """``X0,Y0,X1,Y1`` in pixels of the first photograph; None: the middle third of it in both
+    directions.
 
     Raises:
         InputError: not four numbers, an empty box, or one outside the photograph.
@@ -82,7 +86,9 @@ def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
     if not all(math.isfinite(v) for v in (x0, y0, x1, y1)) or not (x0 < x1 and y0 < y1):
         raise InputError(f"--box {text} is empty: X0 must be less than X1, and Y0 less than Y1")
     if x1 <= 0 or y1 <= 0 or x0 >= w or y0 >= h:
-        raise InputError(f"--box {text} lies outside the first photograph, which has {w} x {h} pixels")
+        raise InputError(
+            f"--box {text} lies outside the first photograph, which has {w} x {h} pixels"
+        )
     return (x0, y0, x1, y1)
 
 
@@ -114,20 +120,25 @@ def bench_uav(
 
     Args:
         out: folder for ``rows.jsonl`` and the clouds of the first pairs as PLY.
-        data, sequence: see :func:`sfmkit.datasets.uav.uav`; None for the first flight that is there.
+        data, sequence: see :func:`sfmkit.datasets.uav.uav`; None for the first flight that is
+            there.
         step: how far apart the photographs of a wide pair are; None for 4, or as many as there are.
         box: the target in the first photograph, see :func:`parse_box`.
-        presets: names of :data:`sfmkit.options.PRESETS`: all for the first pair of each case, the first for the others.
+        presets: names of :data:`sfmkit.options.PRESETS`: all for the first pair of each case, the
+            first for the others.
         max_size: longest side in pixels at which features are searched; None for full size.
         colmap: also run COLMAP on the first pair of each case and on all photographs.
         clouds: PLY files of other programs, of the same scene.
 
     Returns:
-        Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target, seconds), ``colmap`` (case,
-        given -> placed, points, target, seconds; ``missing`` where pycolmap is) and ``given`` (file, case -> points, target).
+        Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target,
+            seconds), ``colmap`` (case,
+        given -> placed, points, target, seconds; ``missing`` where pycolmap is) and ``given``
+        (file, case -> points, target).
 
     Raises:
-        InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with other settings.
+        InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with
+            other settings.
     """
     operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
     for name in presets:
@@ -137,9 +148,13 @@ def bench_uav(
     target = parse_box(box, flight.camera.size_wh)
     given = {str(path): read_ply(path) for path in clouds}
     settings = {
-        "version": __version__, "operators": list(operators), "max_size": max_size, "box": list(target),
-        "sequence": flight.cases[SMALL][0].sequence, "photographs": len(flight.photographs),
-    }  # fmt: skip
+        "version": __version__,
+        "operators": list(operators),
+        "max_size": max_size,
+        "box": list(target),
+        "sequence": flight.cases[SMALL][0].sequence,
+        "photographs": len(flight.photographs),
+    }
     out = Path(out)
     store = RowStore(out / "rows.jsonl", settings)
     rows = store.read()
@@ -151,22 +166,39 @@ def bench_uav(
         for preset in (presets if pair is pairs[0] else presets[:1])
     ]
     if colmap:
-        parts += [("colmap", case, PAIR_OF, None) for case in flight.cases] + [("colmap", SMALL, ALL_OF, None)]
+        parts += [("colmap", case, PAIR_OF, None) for case in flight.cases] + [
+            ("colmap", SMALL, ALL_OF, None)
+        ]
     for done, (kind, case, what, preset) in enumerate(parts):
         label = what.name if isinstance(what, Pair) else what
         if progress is not None:
-            progress(done, len(parts), f"{case}, {f'{label}, {preset}' if preset else f'COLMAP, {label} photographs'}")
+            progress(
+                done,
+                len(parts),
+                f"{case}, {f'{label}, {preset}' if preset else f'COLMAP, {label} photographs'}",
+            )
         if (kind, case, label, preset) in have:
             continue
         if isinstance(what, Pair):
             first = what is flight.cases[case][0]
-            row = _pair_row(case, what, operators, str(preset), max_size, target, flight.camera, out if first else None)
+            row = _pair_row(
+                case,
+                what,
+                operators,
+                str(preset),
+                max_size,
+                target,
+                flight.camera,
+                out if first else None,
+            )
         else:
             row = _colmap_row(case, what, flight, target, out)
         if "missing" not in row:  # tried again next time
             store.append([row])
         rows.append(row)
-    rows = [r for r in rows if r.get("preset") in (None, *presets) and (colmap or r["kind"] != "colmap")]
+    rows = [
+        r for r in rows if r.get("preset") in (None, *presets) and (colmap or r["kind"] != "colmap")
+    ]
     for path, cloud in given.items():
         rows += _given_rows(Path(path), cloud, flight, presets, target, out)
     if progress is not None:
@@ -180,19 +212,34 @@ def ply_name(case: str, what: str) -> str:
 
 
 def _pair_row(
-    case: str, pair: Pair, operators: Sequence[str], preset: str, max_size: int | None, box: Box, camera: Camera,
+    case: str,
+    pair: Pair,
+    operators: Sequence[str],
+    preset: str,
+    max_size: int | None,
+    box: Box,
+    camera: Camera,
     out: Path | None,
-) -> Row:  # fmt: skip
+) -> Row:
     options = PRESETS[preset]
     options = changed(options, detect=changed(options.detect, max_size=max_size))
     result = reconstruct(pair.image1, pair.image2, operators=operators, options=options)
     cloud, line = result.cloud, result.account[ALL]
     row: Row = {
-        "kind": "pair", "case": case, "pair": pair.name, "preset": preset, "verdict": result.two_view.verdict.value,
-        "camera": camera.source, "size_wh": list(camera.size_wh), "initial": line.initial, "points": line.points,
-        "target": None, "reprojection_rmse_px": result.reprojection_rmse_px, "sigma_deg": None if (sigma := result.two_view.sigma_deg) is None else list(sigma),
+        "kind": "pair",
+        "case": case,
+        "pair": pair.name,
+        "preset": preset,
+        "verdict": result.two_view.verdict.value,
+        "camera": camera.source,
+        "size_wh": list(camera.size_wh),
+        "initial": line.initial,
+        "points": line.points,
+        "target": None,
+        "reprojection_rmse_px": result.reprojection_rmse_px,
+        "sigma_deg": None if (sigma := result.two_view.sigma_deg) is None else list(sigma),
         "seconds": result.timings_s["total"],
-    }  # fmt: skip
+    }
     if out is not None and cloud is not None and len(cloud):
         row["target"] = int(inside_box(cloud, camera, box).sum())
         write_ply(out / ply_name(case, preset), cloud)
@@ -218,7 +265,10 @@ def _colmap_row(case: str, given: str, flight: Flight, box: Box, out: Path) -> R
         return row | {"missing": str(error)}
     row |= {"images": list(model.images), "seconds": dict(model.seconds), "points": 0}
     if model.cloud is not None:
-        row |= {"points": len(model.cloud), "target": int(inside_box(model.cloud, flight.camera, box).sum())}
+        row |= {
+            "points": len(model.cloud),
+            "target": int(inside_box(model.cloud, flight.camera, box).sum()),
+        }
         write_ply(out / ply_name(case, f"colmap-{given}"), model.cloud)
     return row
 
@@ -226,13 +276,22 @@ def _colmap_row(case: str, given: str, flight: Flight, box: Box, out: Path) -> R
 def _given_rows(
     path: Path, cloud: PointCloud, flight: Flight, presets: Sequence[str], box: Box, out: Path
 ) -> list[Row]:
-    """A cloud of another program, laid over ours of each case, which has the frame of camera 1; its scale is free."""
-    from ..alignment import align
+    """A cloud of another program, laid over ours of each case, which has the frame of camera 1; its
+    scale is free."""
+    from ..clouds.alignment import align
 
     rows = []
     for case in flight.cases:
-        row: Row = {"kind": "given", "case": case, "file": path.name, "points": len(cloud), "target": None}
-        ours = next((out / ply_name(case, p) for p in presets if (out / ply_name(case, p)).exists()), None)
+        row: Row = {
+            "kind": "given",
+            "case": case,
+            "file": path.name,
+            "points": len(cloud),
+            "target": None,
+        }
+        ours = next(
+            (out / ply_name(case, p) for p in presets if (out / ply_name(case, p)).exists()), None
+        )
         if ours is None:
             rows.append(row | {"note": "there is no cloud of ours to lay it over"})
             continue
@@ -245,5 +304,7 @@ def _given_rows(
         write_ply(out / ply_name(case, f"given-{path.stem}"), moved)
         how = f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} of it on ours"
         doubt = "; this is doubtful, check the picture" if found.doubtful else ""
-        rows.append(row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt})
+        rows.append(
+            row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt}
+        )
     return rows

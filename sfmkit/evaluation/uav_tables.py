@@ -10,17 +10,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ..cloud import read_ply
-from ..images import read_image
+from .._utils.writing import atomic_write
+from ..io.images import read_image
+from ..io.ply import read_ply
+from ..reports.result import Cell, Column, Result, ResultFigure, ResultTable
 from ..viz.splats import splat
-from ..writing import atomic_write
 from .paper import UAV
-from .result import Cell, Column, Result, ResultFigure, ResultTable
 from .rows import Row
 from .uav import ALL_OF, SMALL, WIDE, Box, Flight, ply_name
 
 _TABLES = {SMALL: 7, WIDE: 8}
-_PRESETS = {"default": "sfmkit, default preset", "dense": "sfmkit, dense preset", "paper": "sfmkit, the paper's recipe"}
+_PRESETS = {
+    "default": "sfmkit, default preset",
+    "dense": "sfmkit, dense preset",
+    "paper": "sfmkit, the paper's recipe",
+}
 _PITCH_DEG = -25.0  # of the pictures
 _GREY = 45  # behind the clouds: roads and roofs are pale
 _WIDTH = 800  # pixels of a photograph or cloud in the figures
@@ -36,7 +40,10 @@ def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, comm
         title=f"Drone photographs {pair.sequence}: {len(flight.photographs)} of {' x '.join(map(str, flight.camera.size_wh))} pixels",
         command=command,
         tables=(*(_case_table(rows, flight, case) for case in cases), _pairs_table(rows, cases)),
-        figures=(_draw_target(flight, box, folder), *(_draw_clouds(rows, flight, case, folder) for case in cases)),
+        figures=(
+            _draw_target(flight, box, folder),
+            *(_draw_clouds(rows, flight, case, folder) for case in cases),
+        ),
         seeds=(0,),
         notes=(
             "The paper's photographs, of an antenna, are not public: its lines are of another scene, there to compare the "
@@ -46,7 +53,7 @@ def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, comm
             f"Target: the points that the box {', '.join(f'{v:.0f}' for v in box)} of the first photograph shows. "
             "Seconds: from reading the photographs to the cloud, libraries loaded, once, under the load stated.",
         ),
-    )  # fmt: skip
+    )
 
 
 def _case_table(rows: Sequence[Row], flight: Flight, case: str) -> ResultTable:
@@ -54,7 +61,9 @@ def _case_table(rows: Sequence[Row], flight: Flight, case: str) -> ResultTable:
     first = flight.cases[case][0]
     for r in rows:
         if r["kind"] == "pair" and r["case"] == case and r["pair"] == first.name:
-            lines.append((_PRESETS.get(r["preset"], r["preset"]), 2, r["seconds"], r["points"], r["target"]))
+            lines.append(
+                (_PRESETS.get(r["preset"], r["preset"]), 2, r["seconds"], r["points"], r["target"])
+            )
         elif r["kind"] == "colmap" and (r["case"] == case or r["given"] == ALL_OF):
             if "missing" in r:
                 lines.append((f"COLMAP, not run: {r['missing']}", None, None, None, None))
@@ -64,32 +73,68 @@ def _case_table(rows: Sequence[Row], flight: Flight, case: str) -> ResultTable:
             lines.append((label, given, sum(r["seconds"].values()), r["points"], r["target"]))
         elif r["kind"] == "given" and r["case"] == case:
             lines.append(
-                (r["file"] + (f": {r['note']}" if r.get("note") else ""), None, None, r["points"], r["target"])
+                (
+                    r["file"] + (f": {r['note']}" if r.get("note") else ""),
+                    None,
+                    None,
+                    r["points"],
+                    r["target"],
+                )
             )
     for who, (images, minutes, points, antenna) in UAV[case].items():
-        lines.append((f"the paper: {who}, antenna", images, None if minutes is None else 60 * minutes, points, antenna))
+        lines.append(
+            (
+                f"the paper: {who}, antenna",
+                images,
+                None if minutes is None else 60 * minutes,
+                points,
+                antenna,
+            )
+        )
     columns = (
-        Column("method"), Column("photographs", ","), Column("seconds", ",.1f"), Column("points", ","),
+        Column("method"),
+        Column("photographs", ","),
+        Column("seconds", ",.1f"),
+        Column("points", ","),
         Column("points of the target", ","),
-    )  # fmt: skip
+    )
     number = _TABLES[case]
-    return ResultTable(f"table-{number}", f"Table {number}: {case}, pair {first.name}", columns, tuple(lines))
+    return ResultTable(
+        f"table-{number}", f"Table {number}: {case}, pair {first.name}", columns, tuple(lines)
+    )
 
 
 def _pairs_table(rows: Sequence[Row], cases: Sequence[str]) -> ResultTable:
     lines = [
         (
-            r["case"], r["pair"], r["preset"], r["verdict"], r["initial"], r["points"],
-            100 * (1 - r["points"] / r["initial"]) if r["initial"] else None, r["reprojection_rmse_px"],
-            *(r["sigma_deg"] or (None, None)), r["seconds"],
+            r["case"],
+            r["pair"],
+            r["preset"],
+            r["verdict"],
+            r["initial"],
+            r["points"],
+            100 * (1 - r["points"] / r["initial"]) if r["initial"] else None,
+            r["reprojection_rmse_px"],
+            *(r["sigma_deg"] or (None, None)),
+            r["seconds"],
         )
-        for case in cases for r in rows if r["kind"] == "pair" and r["case"] == case
-    ]  # fmt: skip
+        for case in cases
+        for r in rows
+        if r["kind"] == "pair" and r["case"] == case
+    ]
     columns = (
-        Column("case"), Column("pair"), Column("preset"), Column("verdict"), Column("initial", ","), Column("points", ","),
-        Column("loss, %", ".1f"), Column("reprojection, px", ".2f"), Column("± rotation, deg", ".4f"),
-        Column("± translation, deg", ".4f"), Column("seconds", ".1f"),
-    )  # fmt: skip
+        Column("case"),
+        Column("pair"),
+        Column("preset"),
+        Column("verdict"),
+        Column("initial", ","),
+        Column("points", ","),
+        Column("loss, %", ".1f"),
+        Column("reprojection, px", ".2f"),
+        Column("± rotation, deg", ".4f"),
+        Column("± translation, deg", ".4f"),
+        Column("seconds", ".1f"),
+    )
     note = (
         "±: the standard deviations that a run states for its own pose, from the noise of the pixels alone. There is no truth "
         "to compare with. Reprojection: root mean square of the cloud's points in both photographs."
@@ -107,11 +152,15 @@ def _draw_target(flight: Flight, box: Box, folder: Path) -> ResultFigure:
     ax.imshow(image.rgb[::step, ::step], extent=(-0.5, w - 0.5, h - 0.5, -0.5))
     x0, y0, x1, y1 = box
     ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=4))
-    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="#D55E00", linewidth=2))
+    ax.add_patch(
+        Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="#D55E00", linewidth=2)
+    )
     ax.set(xlabel="x (pixels)", ylabel="y (pixels)")
     _save(figure, folder / "target.png")
     return ResultFigure(
-        "The target in the first photograph", "target.png", "The first photograph, a box around the target"
+        "The target in the first photograph",
+        "target.png",
+        "The first photograph, a box around the target",
     )
 
 
@@ -119,7 +168,9 @@ def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -
     """The clouds of a case's first pair side by side."""
     there = {label: folder / ply_name(case, p) for p, label in _PRESETS.items()}
     there["COLMAP, 2 photographs"] = folder / ply_name(case, "colmap-2")
-    there[f"COLMAP, {len(flight.photographs)} photographs"] = folder / ply_name(SMALL, f"colmap-{ALL_OF}")
+    there[f"COLMAP, {len(flight.photographs)} photographs"] = folder / ply_name(
+        SMALL, f"colmap-{ALL_OF}"
+    )
     for r in rows:
         if r["kind"] == "given" and r["case"] == case:
             there[r["file"]] = folder / ply_name(case, f"given-{Path(r['file']).stem}")
@@ -132,7 +183,9 @@ def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -
         ax.set_axis_off()
     for ax, (label, cloud) in zip(axes, clouds.items()):
         ax.imshow(
-            splat(cloud, flight.camera, width=_WIDTH, dot=2, pitch_deg=_PITCH_DEG, background=_GREY),
+            splat(
+                cloud, flight.camera, width=_WIDTH, dot=2, pitch_deg=_PITCH_DEG, background=_GREY
+            ),
             interpolation="none",
         )
         ax.set_title(f"{label}: {len(cloud):,} points", fontsize=11)

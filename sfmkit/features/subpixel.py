@@ -1,7 +1,7 @@
 """Corners to a fraction of a pixel: the top of a paraboloid through the detector's own response.
 
-Any other response (say, Harris around FAST corners) has its maximum elsewhere and makes positions worse, as
-``cv2.cornerSubPix`` does; see docs/benchmarks.md.
+Any other response (say, Harris around FAST corners) has its maximum elsewhere and makes positions
+worse, as ``cv2.cornerSubPix`` does; see docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ Response = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """FAST-9 score at whole pixels at least 3 pixels inside the image.
 
-    The largest threshold at which 9 neighbouring pixels of the circle are all brighter, or all darker, than the centre
-    by more than it (Rosten & Drummond 2006); ``cv2.FastFeatureDetector`` reports this number less 1.
+    The largest threshold at which 9 neighbouring pixels of the circle are all brighter, or all
+    darker, than the centre by more than it (Rosten & Drummond 2006); ``cv2.FastFeatureDetector``
+    reports this number less 1.
 
     Args:
         grey: (H, W) uint8.
@@ -37,7 +38,10 @@ def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """
     flat, at = grey.reshape(-1), y * grey.shape[1] + x
     centre = flat[at].astype(np.int16)
-    ring = np.stack([flat[at + (dy * grey.shape[1] + dx)] for dx, dy in zip(_CIRCLE_X, _CIRCLE_Y)]) - centre
+    ring = (
+        np.stack([flat[at + (dy * grey.shape[1] + dx)] for dx, dy in zip(_CIRCLE_X, _CIRCLE_Y)])
+        - centre
+    )
     return np.maximum(_best_arc(ring), _best_arc(-ring))
 
 
@@ -71,7 +75,9 @@ def paraboloid_top(r: np.ndarray) -> np.ndarray:
     return np.clip(top, -0.5, 0.5)
 
 
-def refine(grey: np.ndarray, xy: np.ndarray, detector: str, options: dict[str, Any], octave: np.ndarray) -> np.ndarray:
+def refine(
+    grey: np.ndarray, xy: np.ndarray, detector: str, options: dict[str, Any], octave: np.ndarray
+) -> np.ndarray:
     """Positions of whole-pixel corners to a fraction of a pixel.
 
     Args:
@@ -82,8 +88,10 @@ def refine(grey: np.ndarray, xy: np.ndarray, detector: str, options: dict[str, A
         octave: (N,) pyramid level of each (ORB; elsewhere unused).
 
     Returns:
-        (N, 2) float64. ORB's are also mapped back through the true sizes of the pyramid's levels, between pixel
-        centres: OpenCV multiplies level coordinates by the nominal scale, which is up to 2 pixels off.
+        (N, 2) float64. ORB's are also mapped back through the true sizes of the pyramid's levels,
+        between pixel
+        centres: OpenCV multiplies level coordinates by the nominal scale, which is up to 2 pixels
+            off.
     """
     if detector == "orb":
         return _refine_pyramid(grey, xy, octave, options)
@@ -114,7 +122,9 @@ def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 
     return offset
 
 
-def _pyramid(grey: np.ndarray, scale_factor: float, levels: int) -> Iterator[tuple[int, float, np.ndarray]]:
+def _pyramid(
+    grey: np.ndarray, scale_factor: float, levels: int
+) -> Iterator[tuple[int, float, np.ndarray]]:
     """Level, nominal scale and image of ORB's pyramid, each resized from the one before."""
     h, w = grey.shape
     for level in range(levels):
@@ -127,7 +137,9 @@ def _pyramid(grey: np.ndarray, scale_factor: float, levels: int) -> Iterator[tup
         yield level, scale, grey
 
 
-def _refine_pyramid(grey: np.ndarray, xy: np.ndarray, octave: np.ndarray, options: dict[str, Any]) -> np.ndarray:
+def _refine_pyramid(
+    grey: np.ndarray, xy: np.ndarray, octave: np.ndarray, options: dict[str, Any]
+) -> np.ndarray:
     refined = xy.astype(np.float64)
     full = np.array(grey.shape[::-1], dtype=np.float64)
     for level, scale, image in _pyramid(grey, options["scaleFactor"], options["nlevels"]):

@@ -1,7 +1,8 @@
 """SURF in torch: what OpenCV's C++ finds, which its wheels leave out.
 
-Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008). Sizes, thresholds, angles and the
-order of the descriptor's numbers are OpenCV's, so that settings and results carry over.
+Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008). Sizes,
+thresholds, angles and the order of the descriptor's numbers are OpenCV's, so that settings and
+results carry over.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.parallel import map_on_cores
 from ..errors import InputError
-from ..parallel import map_on_cores
 from ..types import Features
 from .surf_descriptor import Level, descriptor, level_of, orientation, smoothed_levels
 from .surf_detector import fast_hessian
 
 CHUNK = 1024  # keypoints described at once on a CPU: their samples stay in cache
 CHUNK_ACCELERATOR = 8192
-TILE = 256  # pixels; keypoints described together are close together, so that their pixels stay in cache too
+# pixels; keypoints described together are close together, so that their pixels stay in cache too
+TILE = 256
 
 
 def surf(
@@ -36,8 +38,8 @@ def surf(
 
     Args:
         image: (H, W) grey levels 0 to 255, uint8, or another real type that is rounded to it.
-        hessian_threshold: least determinant of the Hessian, as in OpenCV (whose default is 100; the paper on fusion
-            that sfmkit follows uses 30).
+        hessian_threshold: least determinant of the Hessian, as in OpenCV (whose default is 100; the
+            paper on fusion that sfmkit follows uses 30).
         octaves: doublings of the filters' size.
         layers: scales in an octave at which blobs are found.
         extended: 128 numbers a descriptor in place of 64.
@@ -45,14 +47,17 @@ def surf(
         device: where to compute; the CPU by default.
 
     Returns:
-        The features, strongest first: `scales` are diameters in pixels, `scores` determinants of the Hessian, `angles`
+        The features, strongest first: `scales` are diameters in pixels, `scores` determinants of
+            the Hessian, `angles`
         radians, `laplacian` the sign of the Laplacian.
 
     Raises:
         InputError: the image or an option is not usable.
     """
     if not (np.isfinite(hessian_threshold) and hessian_threshold >= 0):
-        raise InputError(f"hessian_threshold must be a number of at least 0, not {hessian_threshold}")
+        raise InputError(
+            f"hessian_threshold must be a number of at least 0, not {hessian_threshold}"
+        )
     if octaves < 1 or layers < 1:
         raise InputError(f"octaves and layers must be at least 1, not {octaves} and {layers}")
     integral = _integral(image, device)
@@ -106,9 +111,13 @@ def describe(
     angle = None if angles is None else np.asarray(angles, dtype=np.float32)
     shapes = [a.shape for a in (xy, size, angle) if a is not None]
     if xy.ndim != 2 or xy.shape[1] != 2 or any(shape != xy.shape[:1] for shape in shapes[1:]):
-        raise InputError(f"keypoints must be (N, 2), scales and angles (N,); got {', '.join(map(str, shapes))}")
+        raise InputError(
+            f"keypoints must be (N, 2), scales and angles (N,); got {', '.join(map(str, shapes))}"
+        )
     if not (np.isfinite(xy).all() and np.isfinite(size).all() and (size > 0).all()):
-        raise InputError("keypoints must be finite, scales finite and positive (diameters in pixels)")
+        raise InputError(
+            "keypoints must be finite, scales finite and positive (diameters in pixels)"
+        )
     if angle is not None and not np.isfinite(angle).all():
         raise InputError("angles must be finite (radians)")
     integral = _integral(image, device)
@@ -121,13 +130,21 @@ def describe(
 
 
 def _integral(image: np.ndarray, device: torch.device | str | None) -> Tensor:
-    """(H + 1, W + 1) int32 integral image; sums wrap around 2^32, differences of them do not mind."""
+    """(H + 1, W + 1) int32 integral image; sums wrap around 2^32, differences of them do not
+    mind."""
     image = np.asarray(image)
     if image.ndim != 2 or image.size == 0:
         raise InputError(f"SURF needs a grey image (H, W), not shape {image.shape}")
     if image.dtype != np.uint8:
-        if image.dtype.kind not in "fiu" or not np.isfinite(image).all() or image.min() < 0 or image.max() > 255:
-            raise InputError(f"SURF needs grey levels from 0 to 255; got {image.dtype} outside of it")
+        if (
+            image.dtype.kind not in "fiu"
+            or not np.isfinite(image).all()
+            or image.min() < 0
+            or image.max() > 255
+        ):
+            raise InputError(
+                f"SURF needs grey levels from 0 to 255; got {image.dtype} outside of it"
+            )
         image = np.rint(image).astype(np.uint8)
     return torch.from_numpy(cv2.integral(image, sdepth=cv2.CV_32S)).to(device or "cpu")
 
@@ -154,6 +171,11 @@ def _describe(
 
     chunk = CHUNK if integral.device.type == "cpu" else CHUNK_ACCELERATOR
     same_level = order.split(torch.bincount(level, minlength=len(levels)).tolist())
-    parts = [(source, rows) for source, group in zip(levels, same_level) for rows in group.split(chunk) if len(rows)]
+    parts = [
+        (source, rows)
+        for source, group in zip(levels, same_level)
+        for rows in group.split(chunk)
+        if len(rows)
+    ]
     map_on_cores(fill, parts)
     return angles, described

@@ -2,8 +2,8 @@
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008), section 4.
 
-Samples come first and keypoints last in every array, (samples, N): the arithmetic then runs over contiguous memory
-and the sums over samples are matrix products with constant weights.
+Samples come first and keypoints last in every array, (samples, N): the arithmetic then runs over
+contiguous memory and the sums over samples are matrix products with constant weights.
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-SCALE_PER_SIZE = 1.2 / 9  # the Gaussian scale s that a box filter of side `size` approximates (section 3.3)
+SCALE_PER_SIZE = (
+    1.2 / 9
+)  # the Gaussian scale s that a box filter of side `size` approximates (section 3.3)
 
 ORIENTATION_RADIUS = 6  # of the disc of Haar responses, in s; sampled every s
 ORIENTATION_SIGMA = 2.5  # of the Gaussian weights over the disc, in s
 WINDOW_DEGREES = 60  # of the sliding sector, closed at both ends but for half a degree
 SEARCH_DEGREES = 5  # step of the sliding sector
-BINS = 2 * 360 // SEARCH_DEGREES + 1  # multiples of the step and the gaps between them, -180 to 180 degrees
+BINS = (
+    2 * 360 // SEARCH_DEGREES + 1
+)  # multiples of the step and the gaps between them, -180 to 180 degrees
 
 PATCH = 20  # side of the described window, in s
 CELLS = 4  # a side
@@ -38,7 +42,8 @@ class Level(NamedTuple):
 
 
 def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
-    """The first `levels` levels, boxes of 1, 2, 4, ... pixels at steps of half a box, as far as they fit the image."""
+    """The first `levels` levels, boxes of 1, 2, 4, ... pixels at steps of half a box, as far as
+    they fit the image."""
     high, wide = (n - 1 for n in integral.shape)
     stack = []
     for level in range(levels):
@@ -53,7 +58,8 @@ def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
 
 
 def level_of(size: Tensor) -> Tensor:
-    """The level whose box is closest to the spacing of the descriptor's samples, which averages without aliasing."""
+    """The level whose box is closest to the spacing of the descriptor's samples, which averages
+    without aliasing."""
     return torch.log2(size * (SCALE_PER_SIZE / 0.8)).floor().clamp(min=0).long()
 
 
@@ -66,7 +72,8 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
         size: (N,) diameters.
 
     Returns:
-        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits the image or nothing has contrast.
+        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits the image or
+        nothing has contrast.
     """
     high, wide = (n - 1 for n in integral.shape)
     pitch = wide + 1
@@ -76,7 +83,8 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
     i, j, steps, gauss = _disc(integral.device)
 
     def lattice(centre: Tensor, extent: int) -> tuple[Tensor, Tensor]:
-        """First pixels of the wavelets along one axis, and their weights: none for those that leave the image."""
+        """First pixels of the wavelets along one axis, and their weights: none for those that leave
+        the image."""
         first = torch.round(centre + steps * s - (half - 0.5)).int()
         fits = (first >= 0) & (first <= extent - 2 * half)
         return torch.where(fits, first, 0), fits * gauss
@@ -92,12 +100,23 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
     side = 2 * half
     first, last = at(0, 0), at(side, side)
     upper_right, lower_left = at(0, side), at(side, 0)
-    gx = (last - upper_right).add_(lower_left).sub_(first).sub_(at(side, half).sub_(at(0, half)), alpha=2)
-    gy = (last.sub_(lower_left)).add_(upper_right).sub_(first).sub_(at(half, side).sub_(at(half, 0)), alpha=2)
+    gx = (
+        (last - upper_right)
+        .add_(lower_left)
+        .sub_(first)
+        .sub_(at(side, half).sub_(at(0, half)), alpha=2)
+    )
+    gy = (
+        (last.sub_(lower_left))
+        .add_(upper_right)
+        .sub_(first)
+        .sub_(at(half, side).sub_(at(half, 0)), alpha=2)
+    )
     gx, gy = weight * gx, weight * gy
 
-    # The sector of 60 degrees moves in steps of 5, on directions rounded to whole degrees; every sector is then a sum
-    # of bins that hold one multiple of 5 degrees, or the four degrees between two of them.
+    # The sector of 60 degrees moves in steps of 5, on directions rounded to whole degrees; every
+    # sector is then a sum of bins that hold one multiple of 5 degrees, or the four degrees between
+    # two of them.
     direction = torch.atan2(gy, gx).mul_(180 / math.pi).round_().div_(SEARCH_DEGREES)
     bins = (direction.floor().add_(direction.ceil()).add_(BINS // 2)).long()
     bins += torch.arange(len(size), device=bins.device) * BINS
@@ -121,13 +140,17 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
         extended: split the sums of dx by the sign of dy and the other way round.
 
     Returns:
-        (N, 64), or (N, 128) when extended, float32 of unit length; zero where the window has no contrast.
+        (N, 64), or (N, 128) when extended, float32 of unit length; zero where the window has no
+        contrast.
     """
     mean, box, step = level
     high, wide = mean.shape
     samples = PATCH + 1
-    spacing = (samples * SCALE_PER_SIZE * size).floor().clamp(min=1) / samples  # the window has whole pixels
-    # Pixels -> samples of `mean` -> grid_sample's [-1, 1] from the outer edge of the first sample to that of the last.
+    spacing = (samples * SCALE_PER_SIZE * size).floor().clamp(
+        min=1
+    ) / samples  # the window has whole pixels
+    # Pixels -> samples of `mean` -> grid_sample's [-1, 1] from the outer edge of the first sample
+    # to that of the last.
     to_grid = torch.tensor([2 / wide, 2 / high], device=mean.device)
     centre = ((xy - (box - 1) / 2) / step + 0.5) * to_grid - 1
     reach = (torch.arange(samples, device=mean.device) - PATCH / 2)[:, None, None]
@@ -142,7 +165,15 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
     dx, dy = (falling + rising).flatten(0, 1), falling.sub_(rising).flatten(0, 1)
     if extended:
         up, right = dy >= 0, dx >= 0
-        parts = [dx * up, dx.abs() * up, dx * ~up, dx.abs() * ~up, dy * right, dy.abs() * right, dy * ~right]
+        parts = [
+            dx * up,
+            dx.abs() * up,
+            dx * ~up,
+            dx.abs() * ~up,
+            dy * right,
+            dy.abs() * right,
+            dy * ~right,
+        ]
         parts.append(dy.abs() * ~right)
     else:
         parts = [dx, dy, dx.abs(), dy.abs()]
@@ -153,7 +184,8 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
 
 @cache
 def _disc(device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Columns and rows of the lattice points in the disc, the lattice's steps (13, 1) and its Gaussian (13, 1)."""
+    """Columns and rows of the lattice points in the disc, the lattice's steps (13, 1) and its
+    Gaussian (13, 1)."""
     steps = torch.arange(-ORIENTATION_RADIUS, ORIENTATION_RADIUS + 1)
     j, i = (steps[:, None] ** 2 + steps**2 <= ORIENTATION_RADIUS**2).nonzero(as_tuple=True)
     gauss = torch.exp(-(steps**2) / (2 * ORIENTATION_SIGMA**2))
@@ -163,7 +195,8 @@ def _disc(device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 @cache
 def _sectors(device: torch.device) -> Tensor:
     """(BINS, 72) 0/1: which bins the sector around 0, 5, ... 355 degrees holds."""
-    # Bin 2k holds multiples of the step, bin 2k + 1 the degrees between; -180 degrees and 180 are two bins.
+    # Bin 2k holds multiples of the step, bin 2k + 1 the degrees between; -180 degrees and 180 are
+    # two bins.
     middle = (torch.arange(BINS) - BINS // 2) * (SEARCH_DEGREES / 2)
     distance = (middle[:, None] - torch.arange(0, 360, SEARCH_DEGREES) + 180) % 360 - 180
     return (distance.abs() < WINDOW_DEGREES / 2).float().to(device)
@@ -176,4 +209,6 @@ def _cell_weights(device: torch.device) -> Tensor:
     gauss = torch.exp(-(offset**2) / (2 * PATCH_SIGMA**2))
     cell = torch.arange(PATCH) // (PATCH // CELLS)
     cell = (cell[:, None] * CELLS + cell).flatten()
-    return ((torch.arange(CELLS**2)[:, None] == cell) * torch.outer(gauss, gauss).flatten()).to(device)
+    return ((torch.arange(CELLS**2)[:, None] == cell) * torch.outer(gauss, gauss).flatten()).to(
+        device
+    )

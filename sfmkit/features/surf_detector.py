@@ -1,11 +1,13 @@
-"""The fast-Hessian detector of SURF: blobs as maxima of a box-filter determinant of the Hessian over place and scale.
+"""The fast-Hessian detector of SURF: blobs as maxima of a box-filter determinant of the Hessian
+over place and scale.
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008), section 3.
 
-Everything dense happens on flat strips. A strip of full rows is one contiguous run of memory, a shift by (rows,
-columns) is an offset into it, and a box sum is a few differences of shifted runs of the integral image: the fastest
-thing a tensor library does, in pieces that stay in cache. The columns that wrap around a row's end carry garbage;
-they lie in the margin where a filter would stick out of the image, which is cut away.
+Everything dense happens on flat strips. A strip of full rows is one contiguous run of memory, a
+shift by (rows, columns) is an offset into it, and a box sum is a few differences of shifted runs of
+the integral image: the fastest thing a tensor library does, in pieces that stay in cache. The
+columns that wrap around a row's end carry garbage; they lie in the margin where a filter would
+stick out of the image, which is cut away.
 """
 
 from __future__ import annotations
@@ -17,12 +19,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..parallel import map_on_cores
+from .._utils.parallel import map_on_cores
 
-FIRST_SIZE = 9  # side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
+FIRST_SIZE = (
+    9  # side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
+)
 SIZE_STEP = 6  # difference in side from layer to layer in the first octave
-CROSS_WEIGHT = 0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (section 3.2)
-STRIP = 1 << 18  # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+CROSS_WEIGHT = (
+    0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (section 3.2)
+)
+STRIP = (
+    1 << 18
+    # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+)
 STRIP_ACCELERATOR = 1 << 22
 
 
@@ -32,7 +41,8 @@ class Blobs:
 
     Attributes:
         xy: (N, 2) float32 pixels, sub-pixel.
-        size: (N,) float32 side of the box filter at the extremum, whole pixels; the keypoint's diameter.
+        size: (N,) float32 side of the box filter at the extremum, whole pixels; the keypoint's
+            diameter.
         response: (N,) float32 determinant of the Hessian, per pixel.
         sign: (N,) int8 sign of the Laplacian: +1 dark on light, -1 light on dark.
     """
@@ -46,15 +56,19 @@ class Blobs:
         return len(self.size)
 
 
-def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, strip: int | None = None) -> Blobs:
+def fast_hessian(
+    integral: Tensor, threshold: float, octaves: int, layers: int, strip: int | None = None
+) -> Blobs:
     """Maxima above `threshold` of the fast Hessian, ordered by octave, layer, row and column.
 
     Args:
         integral: (H + 1, W + 1) int32 integral image (modulo 2^32, as differences of it are).
         threshold: least determinant of the Hessian.
-        octaves: doublings of the sampling step; those whose filters do not fit the image are left out.
+        octaves: doublings of the sampling step; those whose filters do not fit the image are left
+            out.
         layers: layers in an octave in which maxima are sought; two more surround them.
-        strip: samples of one layer in a strip; changes the speed, not the result. By default what suits the device.
+        strip: samples of one layer in a strip; changes the speed, not the result. By default what
+            suits the device.
     """
     strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)
     pyramid = map_on_cores(lambda octave: _Octave(integral, octave, layers), range(octaves))
@@ -69,7 +83,12 @@ def fast_hessian(integral: Tensor, threshold: float, octaves: int, layers: int, 
     if not blobs:
         none = torch.empty(0, device=integral.device)
         return Blobs(none.view(0, 2), none, none, none.to(torch.int8))
-    return Blobs(*(torch.cat([getattr(b, name) for b in blobs]) for name in ("xy", "size", "response", "sign")))
+    return Blobs(
+        *(
+            torch.cat([getattr(b, name) for b in blobs])
+            for name in ("xy", "size", "response", "sign")
+        )
+    )
 
 
 class _Octave:
@@ -80,7 +99,8 @@ class _Octave:
         self.device = integral.device
         self.sizes = [(FIRST_SIZE + SIZE_STEP * i) << octave for i in range(layers + 2)]
         self.rows, self.cols = ((n - 1) // step for n in integral.shape)
-        # A middle layer's maxima need the whole filter of the layer above, and its neighbours, inside the image.
+        # A middle layer's maxima need the whole filter of the layer above, and its neighbours,
+        # inside the image.
         self.margins = [size // 2 // step + 1 for size in self.sizes[2:]]
         self.first, self.last = self.margins[0], self.rows - self.margins[0]
         if 2 * self.margins[0] < min(self.rows, self.cols):
@@ -89,28 +109,39 @@ class _Octave:
             self.last = self.first  # not even the smallest filters fit
 
     def _split_phases(self, integral: Tensor) -> None:
-        """Sample the integral image at every phase of the grid, so that any corner of a box is a contiguous run."""
+        """Sample the integral image at every phase of the grid, so that any corner of a box is a
+        contiguous run."""
         step = self.step
         high, wide = (-(-n // step) for n in integral.shape)
         self.pitch = wide
-        self.guard = self.sizes[-1] // step + 2  # rows that filters of the strips at the border may reach beyond it
-        self.phases = [[integral.new_zeros((high + 2 * self.guard) * wide) for _ in range(step)] for _ in range(step)]
+        self.guard = (
+            self.sizes[-1] // step + 2
+        )  # rows that filters of the strips at the border may reach beyond it
+        self.phases = [
+            [integral.new_zeros((high + 2 * self.guard) * wide) for _ in range(step)]
+            for _ in range(step)
+        ]
         for r, c in product(range(step), repeat=2):
             sampled = integral[r::step, c::step]
             rows = self.phases[r][c].view(-1, wide)[self.guard :]
             rows[: len(sampled), : sampled.shape[1]] = sampled
 
     def _corner(self, row: int, col: int, start: int, length: int) -> Tensor:
-        """`length` samples of the integral image, `row` and `col` pixels off the grid points that follow `start`."""
+        """`length` samples of the integral image, `row` and `col` pixels off the grid points that
+        follow `start`."""
         begin = start + (row // self.step + self.guard) * self.pitch + col // self.step
         return self.phases[row % self.step][col % self.step][begin : begin + length]
 
     def determinant(self, layer: int, first: int, out: Tensor) -> None:
-        """Determinant of the Hessian of `layer` at the grid points from flat index `first` on, added to `out` (length,)."""
+        """Determinant of the Hessian of `layer` at the grid points from flat index `first` on,
+        added to `out` (length,)."""
         size, step, pitch = self.sizes[layer], self.step, self.pitch
         box = size // 3  # the lobes of Dxx and Dyy are `box` wide, those of Dxy `box` square
         k = box // step
-        near, far = round(2 * size / 9), round(7 * size / 9)  # extent of the lobes across the direction of derivation
+        near, far = (
+            round(2 * size / 9),
+            round(7 * size / 9),
+        )  # extent of the lobes across the direction of derivation
         cross, cross_far = round(size / 9), round(5 * size / 9)
         centre = size // 2 // step
         start, length = first - centre * (pitch + 1), len(out)
@@ -119,11 +150,15 @@ class _Octave:
             return self._corner(row, col, start, length + extra)
 
         xx = _third_difference(corner(far, 0, 3 * k) - corner(near, 0, 3 * k), k)
-        yy = _third_difference(corner(0, far, 3 * k * pitch) - corner(0, near, 3 * k * pitch), k * pitch)
+        yy = _third_difference(
+            corner(0, far, 3 * k * pitch) - corner(0, near, 3 * k * pitch), k * pitch
+        )
 
         def lobes(col: int, extra: int) -> Tensor:
             upper = corner(cross, col, extra) - corner(cross + box, col, extra)
-            return upper.sub_(corner(cross_far, col, extra)).add_(corner(cross_far + box, col, extra))
+            return upper.sub_(corner(cross_far, col, extra)).add_(
+                corner(cross_far + box, col, extra)
+            )
 
         if step == 1:
             apart = cross_far - cross
@@ -135,7 +170,9 @@ class _Octave:
 
         area, cross_area = box * (far - near), box * box
         xx, yy, xy = xx.float(), yy.float(), xy.float()
-        out.addcmul_(xx, yy, value=1 / area**2).addcmul_(xy, xy, value=-CROSS_WEIGHT / cross_area**2)
+        out.addcmul_(xx, yy, value=1 / area**2).addcmul_(
+            xy, xy, value=-CROSS_WEIGHT / cross_area**2
+        )
 
     def laplacian_sign(self, layer: Tensor, row: Tensor, col: Tensor) -> Tensor:
         """(M,) int8 sign of Dxx + Dyy at grid points."""
@@ -152,27 +189,32 @@ class _Octave:
             trace = torch.zeros_like(at, dtype=torch.int32)
             for n, w in enumerate((-1, 3, -3, 1)):
                 trace += w * (
-                    corner(far, n * box) - corner(near, n * box) + corner(n * box, far) - corner(n * box, near)
+                    corner(far, n * box)
+                    - corner(near, n * box)
+                    + corner(n * box, far)
+                    - corner(n * box, near)
                 )
             sign[here] = trace.sign().to(torch.int8)
         return sign
 
     def strips(self, samples: int) -> list[tuple[int, int]]:
-        """Ranges of rows [top, bottom) of about `samples` grid points each, wherein maxima may be."""
+        """Ranges of rows [top, bottom) of about `samples` grid points each, wherein maxima may
+        be."""
         if self.first == self.last:
             return []
         high = max(1, samples // self.pitch - 2)
         return [(top, min(top + high, self.last)) for top in range(self.first, self.last, high)]
 
     def maxima(self, top: int, bottom: int, least: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Maxima of at least `least` in the rows [top, bottom): layer, row, column (M,), the (27, M) responses around."""
+        """Maxima of at least `least` in the rows [top, bottom): layer, row, column (M,), the (27,
+        M) responses around."""
         pitch = self.pitch
         length = (bottom - top + 2) * pitch  # with a row more on either side
         det = torch.zeros(len(self.sizes), length, device=self.device)
         for number, response in enumerate(det):
             self.determinant(number, (top - 1) * pitch, response)
-        # The highest of the 27 samples around each, first over the layers, then along and across the rows. A sample that
-        # reaches it is a maximum, unless another ties with it.
+        # The highest of the 27 samples around each, first over the layers, then along and across
+        # the rows. A sample that reaches it is a maximum, unless another ties with it.
         highest = torch.maximum(det[:-1], det[1:])
         highest = torch.maximum(highest[:-1], highest[1:])
         across = torch.maximum(highest[:, :-2], highest[:, 2:])
@@ -183,11 +225,18 @@ class _Octave:
         at = at + 1
         row, col = at // pitch + top, at % pitch
         margin = torch.tensor(self.margins, device=at.device)[layer]
-        inside = (row >= margin) & (row < self.rows - margin) & (col >= margin) & (col < self.cols - margin)
+        inside = (
+            (row >= margin)
+            & (row < self.rows - margin)
+            & (col >= margin)
+            & (col < self.cols - margin)
+        )
         layer, row, col = layer[inside] + 1, row[inside], col[inside]
 
         at = layer * length + (row - top + 1) * pitch + col
-        around27 = [n * length + r * pitch + c for n in (-1, 0, 1) for r in (-1, 0, 1) for c in (-1, 0, 1)]
+        around27 = [
+            n * length + r * pitch + c for n in (-1, 0, 1) for r in (-1, 0, 1) for c in (-1, 0, 1)
+        ]
         cube_at = torch.tensor(around27, device=at.device)[:, None] + at
         cube = det.view(-1).index_select(0, cube_at.view(-1)).view(cube_at.shape)
         strict = (cube >= cube[13]).sum(0) == 1
@@ -199,10 +248,17 @@ class _Octave:
         return self._interpolated(layer[order], row[order], col[order], cube[:, order])
 
     def _interpolated(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
-        """Blobs at the maximum of the quadratic through the (27, M) responses around each (Brown and Lowe 2002)."""
+        """Blobs at the maximum of the quadratic through the (27, M) responses around each (Brown
+        and Lowe 2002)."""
         offset = _quadratic_peak(cube.view(3, 3, 3, -1))
         good = (offset.abs() <= 1).all(0) & (offset != 0).any(0)
-        layer, row, col, cube, offset = layer[good], row[good], col[good], cube[:, good], offset[:, good]
+        layer, row, col, cube, offset = (
+            layer[good],
+            row[good],
+            col[good],
+            cube[:, good],
+            offset[:, good],
+        )
         size = torch.tensor(self.sizes, device=layer.device)[layer]
         corner = torch.stack([col, row], 1) - (size // 2 // self.step)[:, None]
         xy = self.step * corner + (size[:, None] - 1) / 2 + self.step * offset[:2].T
@@ -211,17 +267,27 @@ class _Octave:
 
 
 def _third_difference(a: Tensor, k: int) -> Tensor:
-    """a[3k:] - 3 a[2k:] + 3 a[k:] - a: the lobes 1, -2, 1, each k wide, from the cumulative sum `a`."""
+    """a[3k:] - 3 a[2k:] + 3 a[k:] - a: the lobes 1, -2, 1, each k wide, from the cumulative sum
+    `a`."""
     n = len(a) - 3 * k
     return (a[3 * k :] - a[:n]).sub_(a[2 * k : 2 * k + n] - a[k : k + n], alpha=3)
 
 
 def _quadratic_peak(d: Tensor) -> Tensor:
-    """(3, M) offset (x, y, scale) in samples of the stationary point of the quadratic through `d` (3, 3, 3, M)."""
+    """(3, M) offset (x, y, scale) in samples of the stationary point of the quadratic through `d`
+    (3, 3, 3, M)."""
     d = d.double()
-    gx, gy, gs = (d[1, 1, 2] - d[1, 1, 0]) / 2, (d[1, 2, 1] - d[1, 0, 1]) / 2, (d[2, 1, 1] - d[0, 1, 1]) / 2
+    gx, gy, gs = (
+        (d[1, 1, 2] - d[1, 1, 0]) / 2,
+        (d[1, 2, 1] - d[1, 0, 1]) / 2,
+        (d[2, 1, 1] - d[0, 1, 1]) / 2,
+    )
     centre = 2 * d[1, 1, 1]
-    xx, yy, ss = d[1, 1, 0] + d[1, 1, 2] - centre, d[1, 0, 1] + d[1, 2, 1] - centre, d[0, 1, 1] + d[2, 1, 1] - centre
+    xx, yy, ss = (
+        d[1, 1, 0] + d[1, 1, 2] - centre,
+        d[1, 0, 1] + d[1, 2, 1] - centre,
+        d[0, 1, 1] + d[2, 1, 1] - centre,
+    )
     xy = (d[1, 2, 2] - d[1, 2, 0] - d[1, 0, 2] + d[1, 0, 0]) / 4
     xs = (d[2, 1, 2] - d[2, 1, 0] - d[0, 1, 2] + d[0, 1, 0]) / 4
     ys = (d[2, 2, 1] - d[2, 0, 1] - d[0, 2, 1] + d[0, 0, 1]) / 4
@@ -229,5 +295,7 @@ def _quadratic_peak(d: Tensor) -> Tensor:
     a, b, c = yy * ss - ys * ys, xs * ys - xy * ss, xy * ys - xs * yy
     e, f, g = xx * ss - xs * xs, xy * xs - xx * ys, xx * yy - xy * xy
     determinant = xx * a + xy * b + xs * c
-    peak = torch.stack([a * gx + b * gy + c * gs, b * gx + e * gy + f * gs, c * gx + f * gy + g * gs])
+    peak = torch.stack(
+        [a * gx + b * gy + c * gs, b * gx + e * gy + f * gs, c * gx + f * gy + g * gs]
+    )
     return (-peak / determinant).nan_to_num(nan=2.0, posinf=2.0, neginf=-2.0).float()

@@ -1,8 +1,9 @@
 """What the operators are: literal tables of detectors, descriptors and named pairs of the two.
 
-An operator is a detector (where?) with a descriptor (what does it look like?). :data:`OPERATORS` names the usual
-pairs; any other ``detector+descriptor`` is put together by :func:`operator_spec` from :data:`DETECTORS` and
-:data:`DESCRIPTORS`. Options of OpenCV's operators keep OpenCV's names, so that its manual applies.
+An operator is a detector (where?) with a descriptor (what does it look like?). :data:`OPERATORS`
+names the usual pairs; any other ``detector+descriptor`` is put together by :func:`operator_spec`
+from :data:`DETECTORS` and :data:`DESCRIPTORS`. Options of OpenCV's operators keep OpenCV's names,
+so that its manual applies.
 """
 
 from __future__ import annotations
@@ -31,11 +32,13 @@ class DetectorSpec:
     Attributes:
         create: its factory below ``cv2``; None for one of our own.
         options: its options with our defaults.
-        fast_size: a keypoint's size times this is the diameter that FAST would give (7 pixels for a corner at full
-            resolution). OpenCV's detectors mean different things by `size`; its descriptors are made for FAST's.
+        fast_size: a keypoint's size times this is the diameter that FAST would give (7 pixels for a
+            corner at full resolution). OpenCV's detectors mean different things by `size`; its
+            descriptors are made for FAST's.
         integer: positions are whole pixels, refined when `subpixel` is on.
         oriented: gives keypoints an orientation.
-        min_side: images with a shorter side than this hold no keypoint (OpenCV fails or crashes on them).
+        min_side: images with a shorter side than this hold no keypoint (OpenCV fails or crashes on
+            them).
         licence: of the implementation, and patents.
     """
 
@@ -57,9 +60,11 @@ class DescriptorSpec:
         norm: how two descriptors are compared.
         width: length in floats (norm l2) or bits (norm hamming), at default options.
         options: its options with our defaults.
-        margin: keypoints closer than this to the border, in pixels, are dropped; 0 where it depends on their size.
+        margin: keypoints closer than this to the border, in pixels, are dropped; 0 where it depends
+            on their size.
         orients: finds the orientation itself, whatever the detector said.
-        rotates_by: the option that makes it follow the keypoint's orientation; None when it always does.
+        rotates_by: the option that makes it follow the keypoint's orientation; None when it always
+            does.
         only_with: the only detector whose keypoints it can describe; None for any.
         why: the reason for `only_with`.
         licence: of the implementation, and patents.
@@ -111,9 +116,12 @@ class OperatorSpec:
         return self.detector != self.descriptor.removeprefix("root")
 
 
-# Beyond these OpenCV hangs, crashes or divides by zero; other numbers need only be finite and not negative.
+# Beyond these OpenCV hangs, crashes or divides by zero; other numbers need only be finite and not
+# negative.
 LIMITS: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(("nlevels", "nOctaves", "nOctaveLayers", "layers", "q_radius", "q_theta", "q_hist"), (1, 16)),
+    **dict.fromkeys(
+        ("nlevels", "nOctaves", "nOctaveLayers", "layers", "q_radius", "q_theta", "q_hist"), (1, 16)
+    ),
     "octaves": (0, 16),
     "blockSize": (1, 63),
     "scaleFactor": (1.01, 8.0),
@@ -123,7 +131,8 @@ LIMITS: Mapping[str, tuple[float, float]] = {
 _SIFT: Options = {
     "nfeatures": 0,
     "nOctaveLayers": 3,
-    "contrastThreshold": 0.01,  # OpenCV's 0.04 finds 3.8 thousand keypoints in a 6-megapixel photograph
+    # OpenCV's 0.04 finds 3.8 thousand keypoints in a 6-megapixel photograph
+    "contrastThreshold": 0.01,
     "edgeThreshold": 10.0,
     "sigma": 1.6,
     "enable_precise_upscale": True,  # without it every keypoint is a quarter of a pixel off
@@ -153,17 +162,25 @@ DETECTORS: Mapping[str, DetectorSpec] = {
         oriented=True,
     ),
     "fast": DetectorSpec("FastFeatureDetector_create", {"threshold": 10}, integer=True),
-    "agast": DetectorSpec("xfeatures2d.AgastFeatureDetector_create", {"threshold": 10}, integer=True),
+    "agast": DetectorSpec(
+        "xfeatures2d.AgastFeatureDetector_create", {"threshold": 10}, integer=True
+    ),
     "harris": DetectorSpec(
         "GFTTDetector_create",
-        {**_GFTT, "qualityLevel": 1e-4, "k": 0.04},  # a response of fourth order in the gradient, hence the square
+        {
+            **_GFTT,
+            "qualityLevel": 1e-4,
+            "k": 0.04,
+        },  # a response of fourth order in the gradient, hence the square
         fast_size=7 / 3,
         integer=True,
     ),
     "gftt": DetectorSpec("GFTTDetector_create", _GFTT, fast_size=7 / 3, integer=True),
     "sift": DetectorSpec("SIFT_create", _SIFT, fast_size=1.35, oriented=True, licence=SIFT_PATENT),
     "akaze": DetectorSpec(
-        "xfeatures2d.AKAZE_create", {"threshold": 1e-4, "nOctaves": 4, "nOctaveLayers": 4}, oriented=True
+        "xfeatures2d.AKAZE_create",
+        {"threshold": 1e-4, "nOctaves": 4, "nOctaveLayers": 4},
+        oriented=True,
     ),
     "kaze": DetectorSpec(
         "xfeatures2d.KAZE_create",
@@ -172,7 +189,10 @@ DETECTORS: Mapping[str, DetectorSpec] = {
         oriented=True,
     ),
     "brisk": DetectorSpec(
-        "xfeatures2d.BRISK_create", {"thresh": 30, "octaves": 3, "patternScale": 1.0}, oriented=True, min_side=8
+        "xfeatures2d.BRISK_create",
+        {"thresh": 30, "octaves": 3, "patternScale": 1.0},
+        oriented=True,
+        min_side=8,
     ),
     "star": DetectorSpec(
         "xfeatures2d.StarDetector_create",
@@ -186,12 +206,22 @@ DETECTORS: Mapping[str, DetectorSpec] = {
         min_side=8,
     ),
     "mser": DetectorSpec(
-        "MSER_create", {"delta": 5, "min_area": 60, "max_area": 14_400, "max_variation": 0.25, "min_diversity": 0.2}
+        "MSER_create",
+        {
+            "delta": 5,
+            "min_area": 60,
+            "max_area": 14_400,
+            "max_variation": 0.25,
+            "min_diversity": 0.2,
+        },
     ),
-    "xfeat": DetectorSpec(None, {"top_k": 4096, "detection_threshold": 0.05}, licence="Apache-2.0 (code and weights)"),
+    "xfeat": DetectorSpec(
+        None, {"top_k": 4096, "detection_threshold": 0.05}, licence="Apache-2.0 (code and weights)"
+    ),
 }
 
-# The options that say how faint a keypoint may be, and how many there are: the preset ``dense`` halves and doubles them.
+# The options that say how faint a keypoint may be, and how many there are: the preset ``dense``
+# halves and doubles them.
 FAINTEST: Mapping[str, str] = {
     "surf": "hessian_threshold",
     "orb": "fastThreshold",
@@ -206,7 +236,12 @@ FAINTEST: Mapping[str, str] = {
     "star": "responseThreshold",
     "xfeat": "detection_threshold",
 }
-MOST: Mapping[str, str] = {"orb": "nfeatures", "harris": "maxCorners", "gftt": "maxCorners", "xfeat": "top_k"}
+MOST: Mapping[str, str] = {
+    "orb": "nfeatures",
+    "harris": "maxCorners",
+    "gftt": "maxCorners",
+    "xfeat": "top_k",
+}
 
 _LEVELS = "it reads scale levels that only its own detector computes"
 
@@ -223,12 +258,19 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
     ),
     "sift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
     "rootsift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
-    "brisk": DescriptorSpec("xfeatures2d.BRISK_create", "hamming", 512, {"patternScale": 1.0}, orients=True),
+    "brisk": DescriptorSpec(
+        "xfeatures2d.BRISK_create", "hamming", 512, {"patternScale": 1.0}, orients=True
+    ),
     "freak": DescriptorSpec(
         "xfeatures2d.FREAK_create",
         "hamming",
         512,
-        {"orientationNormalized": True, "scaleNormalized": True, "patternScale": 22.0, "nOctaves": 4},
+        {
+            "orientationNormalized": True,
+            "scaleNormalized": True,
+            "patternScale": 22.0,
+            "nOctaves": 4,
+        },
         orients=True,
     ),
     "latch": DescriptorSpec(
@@ -249,15 +291,22 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         {"radius": 15.0, "q_radius": 3, "q_theta": 8, "q_hist": 8, "use_orientation": False},
         rotates_by="use_orientation",
     ),
-    "vgg": DescriptorSpec("xfeatures2d.VGG_create", "l2", 120, {"isigma": 1.4, "scale_factor": 5.0}),
-    "akaze": DescriptorSpec("xfeatures2d.AKAZE_create", "hamming", 488, only_with="akaze", why=_LEVELS),
+    "vgg": DescriptorSpec(
+        "xfeatures2d.VGG_create", "l2", 120, {"isigma": 1.4, "scale_factor": 5.0}
+    ),
+    "akaze": DescriptorSpec(
+        "xfeatures2d.AKAZE_create", "hamming", 488, only_with="akaze", why=_LEVELS
+    ),
     "kaze": DescriptorSpec("xfeatures2d.KAZE_create", "l2", 64, only_with="kaze", why=_LEVELS),
-    "xfeat": DescriptorSpec(None, "l2", 64, only_with="xfeat", why="one network finds and describes"),
+    "xfeat": DescriptorSpec(
+        None, "l2", 64, only_with="xfeat", why="one network finds and describes"
+    ),
 }
 
 AFFINE = "affine-"  # before the name of any operator: see features/affine.py
 
-# Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an answer.
+# Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an
+# answer.
 LEFT_OUT: Mapping[str, str] = {
     "lucid": "it needs a colour image, and ranks bytes, which neither norm compares",
     "msd": "OpenCV's implementation crashes on small images",
@@ -266,7 +315,9 @@ LEFT_OUT: Mapping[str, str] = {
 }
 
 
-def _pair(detector: str, descriptor: str, name: str, summary: str, requires: str | None = None) -> OperatorSpec:
+def _pair(
+    detector: str, descriptor: str, name: str, summary: str, requires: str | None = None
+) -> OperatorSpec:
     """An operator from its two rows; a name that both use is the detector's option."""
     where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
     native = descriptor.removeprefix("root") == detector
@@ -284,39 +335,95 @@ def _pair(detector: str, descriptor: str, name: str, summary: str, requires: str
     if len(licences) > 1:
         licences.pop(OPENCV, None)
     return OperatorSpec(
-        name, detector, descriptor, what.norm, what.width, options, paper, dense, "; ".join(licences), requires, summary
-    )  # fmt: skip
+        name,
+        detector,
+        descriptor,
+        what.norm,
+        what.width,
+        options,
+        paper,
+        dense,
+        "; ".join(licences),
+        requires,
+        summary,
+    )
 
 
 OPERATORS: Mapping[str, OperatorSpec] = {
     spec.name: spec
     for spec in (
-        _pair("surf", "surf", "surf", "blobs of the determinant of the Hessian, box filters (Bay et al. 2008)"),
         _pair(
-            "orb", "orb", "orb", "oriented FAST corners on a pyramid, rotated BRIEF (Rublee et al. 2011)"
+            "surf",
+            "surf",
+            "surf",
+            "blobs of the determinant of the Hessian, box filters (Bay et al. 2008)",
         ),
         _pair(
-            "fast", "brief", "fast-brief", "FAST corners (Rosten & Drummond 2006), BRIEF bits (Calonder et al. 2010)"
+            "orb",
+            "orb",
+            "orb",
+            "oriented FAST corners on a pyramid, rotated BRIEF (Rublee et al. 2011)",
         ),
-        _pair("sift", "sift", "sift", "blobs of the difference of Gaussians, gradient histograms (Lowe 2004)"),
-        _pair("sift", "rootsift", "rootsift", "SIFT compared by the Hellinger kernel (Arandjelovic & Zisserman 2012)"),
-        _pair("akaze", "akaze", "akaze", "blobs of a fast non-linear scale space, bits (Alcantarilla et al. 2013)"),
-        _pair("kaze", "kaze", "kaze", "blobs of a non-linear scale space (Alcantarilla et al. 2012)"),
-        _pair("brisk", "brisk", "brisk", "AGAST corners in scale space, ring pattern bits (Leutenegger et al. 2011)"),
-        _pair("harris", "brief", "harris-brief", "Harris corners (Harris & Stephens 1988), BRIEF bits"),
-        _pair("gftt", "brief", "gftt-brief", "corners of the smaller eigenvalue (Shi & Tomasi 1994), BRIEF bits"),
         _pair(
-            "xfeat", "xfeat", "xfeat", "learned keypoints and descriptors (Potje et al. 2024)", requires="learned"
+            "fast",
+            "brief",
+            "fast-brief",
+            "FAST corners (Rosten & Drummond 2006), BRIEF bits (Calonder et al. 2010)",
+        ),
+        _pair(
+            "sift",
+            "sift",
+            "sift",
+            "blobs of the difference of Gaussians, gradient histograms (Lowe 2004)",
+        ),
+        _pair(
+            "sift",
+            "rootsift",
+            "rootsift",
+            "SIFT compared by the Hellinger kernel (Arandjelovic & Zisserman 2012)",
+        ),
+        _pair(
+            "akaze",
+            "akaze",
+            "akaze",
+            "blobs of a fast non-linear scale space, bits (Alcantarilla et al. 2013)",
+        ),
+        _pair(
+            "kaze", "kaze", "kaze", "blobs of a non-linear scale space (Alcantarilla et al. 2012)"
+        ),
+        _pair(
+            "brisk",
+            "brisk",
+            "brisk",
+            "AGAST corners in scale space, ring pattern bits (Leutenegger et al. 2011)",
+        ),
+        _pair(
+            "harris", "brief", "harris-brief", "Harris corners (Harris & Stephens 1988), BRIEF bits"
+        ),
+        _pair(
+            "gftt",
+            "brief",
+            "gftt-brief",
+            "corners of the smaller eigenvalue (Shi & Tomasi 1994), BRIEF bits",
+        ),
+        _pair(
+            "xfeat",
+            "xfeat",
+            "xfeat",
+            "learned keypoints and descriptors (Potje et al. 2024)",
+            requires="learned",
         ),
     )
-}  # fmt: skip
+}
 
 
 def operator_spec(name: str) -> OperatorSpec:
-    """The named operator, or the pair that ``detector+descriptor`` asks for; ``affine-`` before it simulates viewpoints.
+    """The named operator, or the pair that ``detector+descriptor`` asks for; ``affine-`` before it
+    simulates viewpoints.
 
     Raises:
-        OperatorError: unknown name (the nearest known one is suggested), or a pair that does not fit together.
+        OperatorError: unknown name (the nearest known one is suggested), or a pair that does not
+            fit together.
     """
     name = str(name).strip().lower()
     if name.startswith(AFFINE):
@@ -336,19 +443,35 @@ def operator_spec(name: str) -> OperatorSpec:
         if name in DETECTORS or name in DESCRIPTORS:
             example = f"{name}+brief" if name in DETECTORS else f"fast+{name}"
             kind = "detector" if name in DETECTORS else "descriptor"
-            raise OperatorError(f"'{name}' is a {kind} only; pair it as detector+descriptor, e.g. '{example}'")
+            raise OperatorError(
+                f"'{name}' is a {kind} only; pair it as detector+descriptor, e.g. '{example}'"
+            )
         raise OperatorError.unknown(name, OPERATORS)
-    for part, kind, table in ((detector, "detector", DETECTORS), (descriptor, "descriptor", DESCRIPTORS)):
+    for part, kind, table in (
+        (detector, "detector", DETECTORS),
+        (descriptor, "descriptor", DESCRIPTORS),
+    ):
         if part in LEFT_OUT:
             raise OperatorError(f"'{part}' is left out: {LEFT_OUT[part]}")
         if part not in table:
-            raise OperatorError(f"unknown {kind} '{part}' in '{name}'. Known: {', '.join(sorted(table))}")
+            raise OperatorError(
+                f"unknown {kind} '{part}' in '{name}'. Known: {', '.join(sorted(table))}"
+            )
     only, why = DESCRIPTORS[descriptor].only_with, DESCRIPTORS[descriptor].why
     if only not in (None, detector):
-        raise OperatorError(f"'{name}' does not fit: {descriptor} describes {only} keypoints only, because {why}")
+        raise OperatorError(
+            f"'{name}' does not fit: {descriptor} describes {only} keypoints only, because {why}"
+        )
     if detector == "xfeat" != descriptor:
-        raise OperatorError(f"'{name}' does not fit: xfeat's keypoints have no size to describe a patch by")
+        raise OperatorError(
+            f"'{name}' does not fit: xfeat's keypoints have no size to describe a patch by"
+        )
     for spec in OPERATORS.values():
         if (spec.detector, spec.descriptor) == (detector, descriptor):
             return spec
-    return _pair(detector, descriptor, f"{detector}+{descriptor}", f"{detector} keypoints, {descriptor} descriptors")
+    return _pair(
+        detector,
+        descriptor,
+        f"{detector}+{descriptor}",
+        f"{detector} keypoints, {descriptor} descriptors",
+    )

@@ -16,11 +16,13 @@ def _traced() -> bool:
 
 
 def check_values(**tensors: Tensor | None) -> None:
-    """Raise InputError unless every tensor is finite. Says nothing inside torch.func transforms and torch.compile."""
+    """Raise InputError unless every tensor is finite. Says nothing inside torch.func transforms and
+    torch.compile."""
     if _traced():
         return
     for name, a in tensors.items():
-        # A sum is finite only if its terms are: one pass without a temporary, half the time of isfinite().all().
+        # A sum is finite only if its terms are: one pass without a temporary, half the time of
+        # isfinite().all().
         if a is not None and not math.isfinite(a.detach().sum().item()):
             raise InputError(f"{name} holds NaN or infinite values; drop those entries first")
 
@@ -32,22 +34,34 @@ def check_kind(**tensors: Tensor | None) -> None:
         if a is None:
             continue
         if not isinstance(a, Tensor):
-            raise InputError(f"{name} must be a torch tensor, not {type(a).__name__}; torch.as_tensor makes one")
+            raise InputError(
+                f"{name} must be a torch tensor, not {type(a).__name__}; torch.as_tensor makes one"
+            )
         if a.dtype not in (torch.float32, torch.float64):
-            raise InputError(f"{name} must be float32 or float64, not {a.dtype}; convert it with .double()")
+            raise InputError(
+                f"{name} must be float32 or float64, not {a.dtype}; convert it with .double()"
+            )
         if first is None:
             first = name, a
         elif a.dtype != first[1].dtype:
-            raise InputError(f"{name} is {a.dtype} but {first[0]} is {first[1].dtype}; give both the same dtype")
+            raise InputError(
+                f"{name} is {a.dtype} but {first[0]} is {first[1].dtype}; give both the same dtype"
+            )
         elif a.device != first[1].device:
-            raise InputError(f"{name} is on {a.device} but {first[0]} on {first[1].device}; move both to one device")
+            raise InputError(
+                f"{name} is on {a.device} but {first[0]} on {first[1].device}; move both to one device"
+            )
 
 
-def check_points(minimum: int = 0, weights: Tensor | None = None, *, dim: int = 2, **points: Tensor) -> None:
-    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind, and weights (*B, N) or (N,).
+def check_points(
+    minimum: int = 0, weights: Tensor | None = None, *, dim: int = 2, **points: Tensor
+) -> None:
+    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind, and weights
+    (*B, N) or (N,).
 
     Raises:
-        InputError: wrong shape, dtype or device, mismatched batches, NaN or infinity, negative weights.
+        InputError: wrong shape, dtype or device, mismatched batches, NaN or infinity, negative
+            weights.
         DegenerateGeometryError: fewer than `minimum` points.
     """
     check_kind(**points, weights=weights)
@@ -57,44 +71,62 @@ def check_points(minimum: int = 0, weights: Tensor | None = None, *, dim: int = 
         if x.ndim < 2 or x.shape[-1] != dim:
             raise InputError(f"{name} must have shape (*B, N, {dim}), not {tuple(x.shape)}")
         if x.shape != shape:
-            raise InputError(f"{name} has shape {tuple(x.shape)} but {first} has {tuple(shape)}; they must be the same")
+            raise InputError(
+                f"{name} has shape {tuple(x.shape)} but {first} has {tuple(shape)}; they must be the same"
+            )
     if shape[-2] < minimum:
         raise DegenerateGeometryError(
-            f"{shape[-2]} points are too few; this needs at least {minimum}", points=shape[-2], needed=minimum
+            f"{shape[-2]} points are too few; this needs at least {minimum}",
+            points=shape[-2],
+            needed=minimum,
         )
     if weights is not None and tuple(weights.shape) not in (tuple(shape[:-1]), (shape[-2],)):
-        raise InputError(f"weights must have shape {tuple(shape[:-1])}, one for each point, not {tuple(weights.shape)}")
+        raise InputError(
+            f"weights must have shape {tuple(shape[:-1])}, one for each point, not {tuple(weights.shape)}"
+        )
     check_values(**points, weights=weights)
     if weights is not None and not _traced() and weights.numel() and bool((weights < 0).any()):
         raise InputError("weights must not be negative")
 
 
-def check_matrices(like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor) -> None:
-    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where given)."""
+def check_matrices(
+    like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor
+) -> None:
+    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where
+    given)."""
     check_kind(points=like, **matrices)
     for name, M in matrices.items():
         if tuple(M.shape[-len(shape) :]) != shape:
-            raise InputError(f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}")
+            raise InputError(
+                f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}"
+            )
     check_values(**matrices)
 
 
 def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
-    """Raise InputError unless all are invertible intrinsics ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
+    """Raise InputError unless all are invertible intrinsics
+    ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
     check_matrices(like, shape=(3, 3), **cameras)
     if _traced():
         return
     for name, K in cameras.items():
         if bool(((K[..., 0, 0] * K[..., 1, 1]) == 0).any()) or bool((K[..., 2, 2] != 1).any()):
-            raise InputError(f"{name} is singular or not of the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+            raise InputError(
+                f"{name} is singular or not of the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]"
+            )
         if bool((K[..., 1, 0] != 0).any()) or bool((K[..., 2, :2] != 0).any()):
-            raise InputError(f"{name} must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+            raise InputError(
+                f"{name} must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]"
+            )
 
 
 def check_determined(gap: Tensor, dtype: torch.dtype, model: str, hint: str) -> None:
-    """Raise DegenerateGeometryError when a linear system leaves more than one solution in every member of a batch.
+    """Raise DegenerateGeometryError when a linear system leaves more than one solution in every
+    member of a batch.
 
     Args:
-        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as smallest_singular_vector gives it.
+        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as
+            smallest_singular_vector gives it.
         dtype: of the points: their rounding alone makes a gap of about its epsilon squared.
     """
     if _traced() or gap.numel() == 0:

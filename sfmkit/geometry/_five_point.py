@@ -1,4 +1,5 @@
-"""The five-point algorithm on thousands of samples at once: Nister's elimination, roots on the circle."""
+"""The five-point algorithm on thousands of samples at once: Nister's elimination, roots on the
+circle."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from ._roots import nodes, real_roots
 from .fundamental import cofactors, epipolar_rows
 from .lie import hat, so3_exp
 
-# Monomials of x, y, z, w (w = 1) in Nister's order: the first ten are eliminated, the last ten are linear in x and y.
+# Monomials of x, y, z, w (w = 1) in Nister's order: the first ten are eliminated, the last ten are
+# linear in x and y.
 _CUBIC = [
     "xxx",
     "yyy",
@@ -42,7 +44,8 @@ _QUADRATIC = ["".join(p) for p in combinations_with_replacement("xyzw", 2)]
 
 @cache
 def _tables(device: torch.device) -> tuple[Tensor, ...]:
-    """Products to monomials: (16, 10) pairs to quadratic and (40, 20) quadratic times linear to cubic; z at the nodes; a mixing."""
+    """Products to monomials: (16, 10) pairs to quadratic and (40, 20) quadratic times linear to
+    cubic; z at the nodes; a mixing."""
     pairs = torch.zeros(16, 10, dtype=torch.float64)
     for i, p in enumerate(a + b for a in "xyzw" for b in "xyzw"):
         pairs[i, _QUADRATIC.index("".join(sorted(p, key="xyzw".index)))] = 1
@@ -50,8 +53,14 @@ def _tables(device: torch.device) -> tuple[Tensor, ...]:
     for i, p in enumerate(q + c for q in _QUADRATIC for c in "xyzw"):
         cubes[i, _CUBIC.index("".join(sorted(p, key="xyzw".index)))] = 1
     angles = torch.tensor(nodes(10), dtype=torch.float64)
-    # The null space comes with single entries of E as its unknowns, and w = 1 would fail where that entry is about zero.
-    mixing = torch.tensor([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=torch.float64) / 2
+    # The null space comes with single entries of E as its unknowns, and w = 1 would fail where that
+    # entry is about zero.
+    mixing = (
+        torch.tensor(
+            [[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=torch.float64
+        )
+        / 2
+    )
     tables = (pairs, cubes, _powers(angles, 3), _powers(angles, 4), mixing)
     return tuple(T.to(device) for T in tables)
 
@@ -67,11 +76,13 @@ def five_point(x1: Tensor, x2: Tensor, cells: int) -> tuple[Tensor, Tensor]:
 
     Args:
         x1, x2: (B, 5, 2) normalised coordinates, float64.
-        cells: resolution of the search for roots. On exact data, before polishing, 96 cells miss the
-            true E by more than 1e-3 in 0.4 % of samples (forward motion 2.7 %), 1536 in 0.06 % (0.4 %).
+        cells: resolution of the search for roots. On exact data, before polishing, 96 cells miss
+            the true E by more than 1e-3 in 0.4 % of samples (forward motion 2.7 %), 1536 in 0.06 %
+            (0.4 %).
 
     Returns:
-        E: (M, 3, 3) of Frobenius norm √2. owner: (M,) int64, ascending: the sample that a solution is of.
+        E: (M, 3, 3) of Frobenius norm √2. owner: (M,) int64, ascending: the sample that a solution
+            is of.
     """
     pairs, cubes, cubic_nodes, quartic_nodes, mixing = _tables(x1.device)
     N = null_space(epipolar_rows(x1, x2)) @ mixing  # E = x X + y Y + z Z + w W
@@ -94,36 +105,52 @@ def five_point(x1: Tensor, x2: Tensor, cells: int) -> tuple[Tensor, Tensor]:
     crosses = torch.stack(_cross(a[:, i], b[:, i], d[:, i], a[:, j], b[:, j], d[:, j]), -1)
     best = crosses.square().sum(-1).argmax(-1)
     x, y, one = crosses[torch.arange(len(best), device=best.device), best].unbind(-1)
-    E = (N[owner] @ torch.stack((x, y, one * angle.cos(), one * angle.sin()), -1)[..., None]).squeeze(-1)
+    E = (
+        N[owner] @ torch.stack((x, y, one * angle.cos(), one * angle.sin()), -1)[..., None]
+    ).squeeze(-1)
     E = E * (math.sqrt(2) / E.norm(dim=-1, keepdim=True).clamp(min=torch.finfo(E.dtype).tiny))
     return E.unflatten(-1, (3, 3)), owner
 
 
-def _cross(a1: Tensor, b1: Tensor, d1: Tensor, a2: Tensor, b2: Tensor, d2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _cross(
+    a1: Tensor, b1: Tensor, d1: Tensor, a2: Tensor, b2: Tensor, d2: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     return b1 * d2 - d1 * b2, d1 * a2 - a1 * d2, a1 * b2 - b1 * a2
 
 
 def _constraints(N: Tensor, pairs: Tensor) -> Tensor:
-    """(B, 10, 40): ``(E E^T - tr(E E^T) / 2) E`` and ``det E``, as quadratic times linear forms in x, y, z, w."""
+    """(B, 10, 40): ``(E E^T - tr(E E^T) / 2) E`` and ``det E``, as quadratic times linear forms in
+    x, y, z, w."""
     B = len(N)
     N = N.reshape(B, 3, 3, 4)
     rows = N.transpose(2, 3).reshape(B, 12, 3)
-    product = (rows @ rows.mT).reshape(B, 3, 4, 3, 4).transpose(2, 3).reshape(B, 3, 3, 16) @ pairs  # E E^T
+    product = (rows @ rows.mT).reshape(B, 3, 4, 3, 4).transpose(2, 3).reshape(
+        B, 3, 3, 16
+    ) @ pairs  # E E^T
     half_trace = product.diagonal(dim1=1, dim2=2).sum(-1) / 2
-    product = product - torch.eye(3, dtype=N.dtype, device=N.device)[..., None] * half_trace[:, None, None]
+    product = (
+        product
+        - torch.eye(3, dtype=N.dtype, device=N.device)[..., None] * half_trace[:, None, None]
+    )
     trace = product.transpose(2, 3).reshape(B, 30, 3) @ N.reshape(B, 3, 12)
     trace = trace.reshape(B, 3, 10, 3, 4).transpose(2, 3).reshape(B, 9, 40)
     p, q = N[:, 1, [1, 2, 0]], N[:, 1, [2, 0, 1]]
     r, s = N[:, 2, [2, 0, 1]], N[:, 2, [1, 2, 0]]
-    minors = (p[..., :, None] * r[..., None, :] - q[..., :, None] * s[..., None, :]).reshape(B, 3, 16) @ pairs
+    minors = (p[..., :, None] * r[..., None, :] - q[..., :, None] * s[..., None, :]).reshape(
+        B, 3, 16
+    ) @ pairs
     determinant = (minors.mT @ N[:, 0]).reshape(B, 1, 40)
     return torch.cat((trace, determinant), 1)
 
 
-def rotation_step(E: Tensor, x1: Tensor, x2: Tensor, valid: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """The smallest rotation vectors a, b for which ``exp([a]) E exp([b])`` meets the constraints to first order.
+def rotation_step(
+    E: Tensor, x1: Tensor, x2: Tensor, valid: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """The smallest rotation vectors a, b for which ``exp([a]) E exp([b])`` meets the constraints to
+    first order.
 
-    Left and right rotations reach every neighbour of E on the essential manifold (in six numbers, one too many).
+    Left and right rotations reach every neighbour of E on the essential manifold (in six numbers,
+    one too many).
 
     Args:
         E: (*B, 3, 3), a constant. x1, x2: (*B, 5, 2). valid: (*B,), the others get zero.
@@ -133,11 +160,17 @@ def rotation_step(E: Tensor, x1: Tensor, x2: Tensor, valid: Tensor | None = None
     residual = (lines2 * h2).sum(-1)
     d1, d2 = h1.detach(), h2.detach()
     J = torch.cat(
-        (torch.linalg.cross(d1 @ E.mT, d2, dim=-1), torch.linalg.cross(d1.expand_as(lines1), d2 @ E, dim=-1)), -1
+        (
+            torch.linalg.cross(d1 @ E.mT, d2, dim=-1),
+            torch.linalg.cross(d1.expand_as(lines1), d2 @ E, dim=-1),
+        ),
+        -1,
     )
     gram = J @ J.mT
     if valid is not None:
-        gram = torch.where(valid[..., None, None], gram, torch.eye(5, dtype=E.dtype, device=E.device))
+        gram = torch.where(
+            valid[..., None, None], gram, torch.eye(5, dtype=E.dtype, device=E.device)
+        )
     solution, _ = torch.linalg.solve_ex(gram, residual[..., None])
     step = -(J.mT @ solution).squeeze(-1)
     return step[..., :3], step[..., 3:]
@@ -149,14 +182,20 @@ def rotated(E: Tensor, a: Tensor, b: Tensor) -> Tensor:
 
 
 def one_pose(E: Tensor) -> tuple[Tensor, Tensor]:
-    """One of the poses (R, unit t) of an E of Frobenius norm √2, in closed form, without derivatives.
+    """One of the poses (R, unit t) of an E of Frobenius norm √2, in closed form, without
+    derivatives.
 
-    An E slightly off the essential manifold is taken for a nearby one: R comes out a rotation all the same.
+    An E slightly off the essential manifold is taken for a nearby one: R comes out a rotation all
+    the same.
     """
     a, b, c = E.unbind(-1)
-    crosses = torch.stack([torch.linalg.cross(p, q, dim=-1) for p, q in ((a, b), (b, c), (c, a))], -2)
+    crosses = torch.stack(
+        [torch.linalg.cross(p, q, dim=-1) for p, q in ((a, b), (b, c), (c, a))], -2
+    )
     longest = crosses.square().sum(-1).argmax(-1)
-    t = torch.nn.functional.normalize(torch.take_along_dim(crosses, longest[..., None, None], -2).squeeze(-2), dim=-1)
+    t = torch.nn.functional.normalize(
+        torch.take_along_dim(crosses, longest[..., None, None], -2).squeeze(-2), dim=-1
+    )
     R = cofactors(E) - hat(t) @ E
     for _ in range(2):  # Newton-Schulz: the error is squared each time
         R = 1.5 * R - 0.5 * R @ R.mT @ R

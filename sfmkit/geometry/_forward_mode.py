@@ -9,9 +9,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def forward_mode() -> Iterator[None]:
-    """Around jvp and jacfwd: torch scripts decompositions of its own on the first one, and warns that scripting is
-    deprecated (2.15). Whoever asks for a gradient can do nothing about that.
+    """Around jvp and jacfwd: torch scripts decompositions of its own on the first one, and warns
+    that scripting is deprecated (2.15). Whoever asks for a gradient can do nothing about that.
     """
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=r"`torch\.jit\.script` is deprecated", category=FutureWarning)
+        warnings.filterwarnings(
+            "ignore", message=r"`torch\.jit\.script` is deprecated", category=FutureWarning
+        )
         yield

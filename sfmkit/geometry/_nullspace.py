@@ -15,7 +15,9 @@ class _Detached(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(function: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]
+    def forward(
+        function: Callable[..., tuple[Tensor, ...]], *tensors: Tensor
+    ) -> tuple[Tensor, ...]:  # type: ignore[override]
         return function(*tensors)
 
     @staticmethod
@@ -41,17 +43,19 @@ class _Detached(torch.autograd.Function):
 
 
 def detached(function: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:
-    """``function(*tensors)`` as constants. The function takes (*B, ...) tensors and returns a tuple of such."""
+    """``function(*tensors)`` as constants. The function takes (*B, ...) tensors and returns a tuple
+    of such."""
     return _Detached.apply(function, *(x.detach() for x in tensors))
 
 
 def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """The unit v that minimises ``Σ w (A v)²``, and how well it is determined.
 
-    Found on the n x n normal matrix (its cost does not grow with an SVD of all rows), then corrected with the residual
-    ``A v`` of the rows themselves, which gives back the digits that squaring lost. Differentiated implicitly,
-    ``dv = -(M - λ I)^+ dM v``: finite wherever the smallest singular value is simple, zero included, where the
-    derivative of a full decomposition also divides by the differences of the others.
+    Found on the n x n normal matrix (its cost does not grow with an SVD of all rows), then
+    corrected with the residual ``A v`` of the rows themselves, which gives back the digits that
+    squaring lost. Differentiated implicitly, ``dv = -(M - λ I)^+ dM v``: finite wherever the
+    smallest singular value is simple, zero included, where the derivative of a full decomposition
+    also divides by the differences of the others.
 
     Args:
         A: (*B, N, n).
@@ -59,7 +63,8 @@ def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[
 
     Returns:
         v: (*B, n), of arbitrary sign.
-        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, a constant; 0 where v is not unique.
+        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, a constant; 0 where
+            v is not unique.
     """
 
     def normal(A: Tensor, v: Tensor) -> Tensor:
@@ -83,14 +88,17 @@ def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[
 
 
 def null_space(A: Tensor) -> Tensor:
-    """(*B, n, n - m) basis of the null space of the (*B, m, n) A of full row rank, without derivatives.
+    """(*B, n, n - m) basis of the null space of the (*B, m, n) A of full row rank, without
+    derivatives.
 
-    From an LU decomposition of A^T, whose row exchanges choose which unknowns are free: 1000 systems of
-    5 x 9 take 1.0 ms where a batched SVD takes 5.4 ms (and a complete QR 0.8 ms). The basis is well conditioned, not
-    orthonormal.
+    From an LU decomposition of A^T, whose row exchanges choose which unknowns are free: 1000
+    systems of 5 x 9 take 1.0 ms where a batched SVD takes 5.4 ms (and a complete QR 0.8 ms). The
+    basis is well conditioned, not orthonormal.
     """
     m, n = A.shape[-2:]
     P, L, _ = torch.linalg.lu(A.mT)
-    X = torch.linalg.solve_triangular(L[..., :m, :].mT, L[..., m:, :].mT, upper=True, unitriangular=True)
+    X = torch.linalg.solve_triangular(
+        L[..., :m, :].mT, L[..., m:, :].mT, upper=True, unitriangular=True
+    )
     eye = torch.eye(n - m, dtype=A.dtype, device=A.device).expand(*X.shape[:-2], -1, -1)
     return P @ torch.cat((-X, eye), -2)

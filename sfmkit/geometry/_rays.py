@@ -1,4 +1,5 @@
-"""Three-vectors as triples of tensors: one tensor per component is several times faster than a last axis of 3."""
+"""Three-vectors as triples of tensors: one tensor per component is several times faster than a last
+axis of 3."""
 
 from __future__ import annotations
 
@@ -24,13 +25,18 @@ def components(t: Tensor) -> Vector:
 def rotate(R: Tensor, v: Vector, inverse: bool = False) -> Vector:
     """``R v`` (or ``R^T v``) for ``R (*B, 3, 3)`` and components ``(*B, N)``."""
     M = R.mT if inverse else R
-    x, y, z = (M[..., i, 0, None] * v[0] + M[..., i, 1, None] * v[1] + M[..., i, 2, None] * v[2] for i in range(3))
+    x, y, z = (
+        M[..., i, 0, None] * v[0] + M[..., i, 1, None] * v[1] + M[..., i, 2, None] * v[2]
+        for i in range(3)
+    )
     return x, y, z
 
 
 def rotated_ray(R: Tensor, x: Tensor, y: Tensor) -> Vector:
     """``R (x, y, 1)``: the ray of a normalised point of image 1, in the axes of camera 2."""
-    u, v, w = (R[..., i, 0, None] * x + R[..., i, 1, None] * y + R[..., i, 2, None] for i in range(3))
+    u, v, w = (
+        R[..., i, 0, None] * x + R[..., i, 1, None] * y + R[..., i, 2, None] for i in range(3)
+    )
     return u, v, w
 
 

@@ -1,8 +1,8 @@
 """Real roots of many small polynomials at once.
 
-A polynomial in z is taken homogeneous, in (cos θ, sin θ) with z = cot θ: roots at infinity are then like any other,
-and a polynomial of degree D is a trigonometric one with the frequencies D, D - 2, ... in θ. It is known by its values
-at D + 1 equally spaced angles, which is as well conditioned as can be: coefficients in powers of z are never formed.
+A polynomial in z is taken homogeneous, in (cos θ, sin θ) with z = cot θ: roots at infinity are then
+like any other, and a polynomial of degree D is a trigonometric one with the frequencies D, D - 2,
+... in θ. It is known by its values at D + 1 equally spaced angles, which is as well conditioned as can be: coefficients in powers of z are never formed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ def nodes(degree: int) -> list[float]:
 
 @cache
 def _tables(degree: int, cells: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrices that turn values at the nodes into coefficients, into values and into slopes on the grid."""
+    """Matrices that turn values at the nodes into coefficients, into values and into slopes on the
+    grid."""
 
     def basis(angles: Tensor, derivative: bool = False) -> Tensor:
         columns = []
@@ -68,8 +69,9 @@ class _Trigonometric:
 def real_roots(values: Tensor, cells: int) -> tuple[Tensor, Tensor]:
     """All real roots of B polynomials, as angles.
 
-    Sign changes on a grid bracket the roots; where a polynomial turns back towards zero inside a cell without changing
-    sign at its ends, its extremum is looked at, so that close pairs are not lost. Newton, kept inside its bracket.
+    Sign changes on a grid bracket the roots; where a polynomial turns back towards zero inside a
+    cell without changing sign at its ends, its extremum is looked at, so that close pairs are not
+    lost. Newton, kept inside its bracket.
 
     Args:
         values: (B, D + 1) float64, at :func:`nodes`.
@@ -94,7 +96,9 @@ def real_roots(values: Tensor, cells: int) -> tuple[Tensor, Tensor]:
     extra, cell = turning.nonzero(as_tuple=True)
     if len(extra):
         f = _Trigonometric(coefficients[extra])
-        extremum = _newton(lambda a: f(a)[1:], cell * width, (cell + 1) * width, slope[extra, cell] > 0, 4)
+        extremum = _newton(
+            lambda a: f(a)[1:], cell * width, (cell + 1) * width, slope[extra, cell] > 0, 4
+        )
         pair = (f(extremum)[0] > 0) != positive[extra, cell]
         extra, cell, extremum = extra[pair], cell[pair], extremum[pair]
         owner = torch.cat((owner, extra, extra))
@@ -110,7 +114,8 @@ def real_roots(values: Tensor, cells: int) -> tuple[Tensor, Tensor]:
 
 
 def _newton(f, left: Tensor, right: Tensor, positive_left: Tensor, steps: int) -> Tensor:
-    """A zero of f, which returns (value, derivative), in each bracket; Newton, or bisection where it would leave it."""
+    """A zero of f, which returns (value, derivative), in each bracket; Newton, or bisection where
+    it would leave it."""
     x = (left + right) / 2
     for _ in range(steps):
         value, derivative = f(x)

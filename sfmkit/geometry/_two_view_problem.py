@@ -1,14 +1,18 @@
-"""The least-squares problem behind two-view bundle adjustment: residuals, Jacobians and the reduced camera system.
+"""The least-squares problem behind two-view bundle adjustment: residuals, Jacobians and the reduced
+camera system.
 
-Unknowns. Camera: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the unit translation,
-and optionally the logarithm of one or two focal scales. Points: ``y = (u, v, rho)``, direction and inverse depth in
-camera 1, ``X = (u, v, 1) / rho``: far points are as well behaved as near ones, and image 1 sees just (u, v).
+Unknowns. Camera: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the
+unit translation, and optionally the logarithm of one or two focal scales. Points:
+``y = (u, v, rho)``, direction and inverse depth in camera 1, ``X = (u, v, 1) / rho``: far points
+are as well behaved as near ones, and image 1 sees just (u, v).
 
-Each match contributes a 3 x 3 block for its point. With ``L L^T`` its Cholesky factor (closed form), eliminating the
-points leaves the reduced camera system ``S = Jc^T Jc - Z^T Z``, ``Z = L^-1 Jy^T Jc`` (Schur complement; Triggs et al.,
-Bundle adjustment - a modern synthesis, 2000, section 6.1): linear in the number of points, and no larger than 7 x 7.
+Each match contributes a 3 x 3 block for its point. With ``L L^T`` its Cholesky factor (closed
+form), eliminating the points leaves the reduced camera system ``S = Jc^T Jc - Z^T Z``,
+``Z = L^-1 Jy^T Jc`` (Schur complement; Triggs et al., Bundle adjustment - a modern synthesis, 2000,
+section 6.1): linear in the number of points, and no larger than 7 x 7.
 
-Components ``(*B, N)`` are kept apart as in ``_rays``; camera quantities are ``(*B, 1)`` next to them.
+Components ``(*B, N)`` are kept apart as in ``_rays``; camera quantities are ``(*B, 1)`` next to
+them.
 """
 
 from __future__ import annotations
@@ -31,7 +35,8 @@ FREE_FOCALS: dict[Focal, int] = {"fixed": 0, "shared": 1, "separate": 2}
 
 
 class State(NamedTuple):
-    """Where the minimisation stands: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points (u, v, rho)."""
+    """Where the minimisation stands: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points
+    (u, v, rho)."""
 
     R: Tensor
     t: Tensor
@@ -54,13 +59,17 @@ class Problem:
 
     def detached(self) -> Problem:
         """The same problem, cut off from any graph."""
-        x1, x2, weights, K1, K2 = (a.detach() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
+        x1, x2, weights, K1, K2 = (
+            a.detach() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
+        )
         return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
 
     def part(self, rows: slice) -> Problem:
         """The problem of some of the matches."""
         x1, x2 = self.x1[..., rows, :], self.x2[..., rows, :]
-        return Problem(x1, x2, self.weights[..., rows], self.K1, self.K2, self.loss, self.scale, self.focal)
+        return Problem(
+            x1, x2, self.weights[..., rows], self.K1, self.K2, self.loss, self.scale, self.focal
+        )
 
     @property
     def requires_grad(self) -> bool:
@@ -88,16 +97,22 @@ class Problem:
         )
 
     def cost(self, state: State) -> Tensor:
-        """Half the weighted sum of the loss, (*B,), of each match's squared residual over both images."""
-        return _sum(0.5 * (p.weights * p.loss_terms(*residuals(s, p)).value).sum(-1) for s, p in in_chunks(state, self))
+        """Half the weighted sum of the loss, (*B,), of each match's squared residual over both
+        images."""
+        return _sum(
+            0.5 * (p.weights * p.loss_terms(*residuals(s, p)).value).sum(-1)
+            for s, p in in_chunks(state, self)
+        )
 
     def loss_terms(self, r1: Pair, r2: Pair) -> LossTerms:
-        """The loss of every match, (*B, N), and its derivatives by the squared residual over both images."""
+        """The loss of every match, (*B, N), and its derivatives by the squared residual over both
+        images."""
         return loss_terms(self.loss, _dot2(r1, r1) + _dot2(r2, r2), self.scale)
 
 
 class Linearised(NamedTuple):
-    """The Gauss-Newton system at a state; the last of the size + 1 columns of J and Z belongs to the residual."""
+    """The Gauss-Newton system at a state; the last of the size + 1 columns of J and Z belongs to
+    the residual."""
 
     S: Tensor  # (*B, size, size) reduced camera matrix
     g: Tensor  # (*B, size) its right-hand side, the gradient after the elimination of the points
@@ -118,7 +133,9 @@ def residuals(state: State, problem: Problem) -> tuple[Pair, Pair]:
     u, v, w = state.y
     f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
     px, py, pz = _in_camera2(state, rotated_ray(state.R, u, v))
-    return _residual(problem.K1, f1, u, v, problem.x1), _residual(problem.K2, f2, px / pz, py / pz, problem.x2)
+    return _residual(problem.K1, f1, u, v, problem.x1), _residual(
+        problem.K2, f2, px / pz, py / pz, problem.x2
+    )
 
 
 def _in_camera2(state: State, rotated: Vector) -> Vector:
@@ -133,11 +150,18 @@ def _residual(K: Tensor, f: Tensor, a: Tensor, b: Tensor, x: Tensor) -> Pair:
 
 def intrinsics(K: Tensor) -> tuple[Tensor, ...]:
     """fx, skew, cx, fy, cy as (*B, 1)."""
-    return K[..., 0, 0, None], K[..., 0, 1, None], K[..., 0, 2, None], K[..., 1, 1, None], K[..., 1, 2, None]
+    return (
+        K[..., 0, 0, None],
+        K[..., 0, 1, None],
+        K[..., 0, 2, None],
+        K[..., 1, 1, None],
+        K[..., 1, 2, None],
+    )
 
 
 class Jacobian(NamedTuple):
-    """Derivatives of the pixels of one match, each column a pair (x, y) of components; None stands for zero."""
+    """Derivatives of the pixels of one match, each column a pair (x, y) of components; None stands
+    for zero."""
 
     point1: tuple[Pair, Pair]  # image 1 by u, v (rho does not move it)
     point2: tuple[Pair, Pair, Pair]  # image 2 by u, v, rho
@@ -190,9 +214,11 @@ def jacobian(state: State, problem: Problem) -> Jacobian:
 
 
 def weigh(J: Jacobian, problem: Problem) -> Jacobian:
-    """Rows times the square root of their weight: ``J^T r`` is the robust gradient, ``J^T J`` bounds the Hessian.
+    """Rows times the square root of their weight: ``J^T r`` is the robust gradient, ``J^T J``
+    bounds the Hessian.
 
-    One weight for a match: one for each image would move its point from one image's residual to the other's, slowly.
+    One weight for a match: one for each image would move its point from one image's residual to the
+    other's, slowly.
     """
     root = (problem.weights * problem.loss_terms(J.residual1, J.residual2).slope).sqrt()
 
@@ -203,7 +229,8 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
 
 
 def in_chunks(state: State, problem: Problem) -> Iterator[tuple[State, Problem]]:
-    """State and problem, split such that the dozens of intermediate tensors stay in the processor's cache."""
+    """State and problem, split such that the dozens of intermediate tensors stay in the processor's
+    cache."""
     n = problem.x1.shape[-2]
     if n <= _CHUNK:
         yield state, problem
@@ -222,35 +249,56 @@ def _sum(terms: Iterable[Tensor]) -> Tensor:
     return sum(rest, first)
 
 
-def linearise(state: State, problem: Problem, damping: Tensor | None = None, near: Tensor | None = None) -> Linearised:
+def linearise(
+    state: State, problem: Problem, damping: Tensor | None = None, near: Tensor | None = None
+) -> Linearised:
     """The reduced camera system.
 
-    Reweighted least squares: the quadratic lies above the cost, so that its step descends. Where near (*B,) is true, the
-    loss's own curvature is used, which converges faster but only close to the minimum. With damping (*B,), every point's
-    diagonal is scaled by 1 + damping.
+    Reweighted least squares: the quadratic lies above the cost, so that its step descends. Where
+    near (*B,) is true, the loss's own curvature is used, which converges faster but only close to
+    the minimum. With damping (*B,), every point's diagonal is scaled by 1 + damping.
     """
     S, g, Z, L, H = zip(*(_linearise(s, p, damping, near) for s, p in in_chunks(state, problem)))
     if len(S) == 1:
         return Linearised(S[0], g[0], Z[0], L[0], H[0])
-    return Linearised(_sum(S), _sum(g), torch.cat(Z, -1), tuple(torch.cat(entry, -1) for entry in zip(*L)), _sum(H))
+    return Linearised(
+        _sum(S),
+        _sum(g),
+        torch.cat(Z, -1),
+        tuple(torch.cat(entry, -1) for entry in zip(*L)),
+        _sum(H),
+    )
 
 
-def _linearise(state: State, problem: Problem, damping: Tensor | None, near: Tensor | None) -> Linearised:
+def _linearise(
+    state: State, problem: Problem, damping: Tensor | None, near: Tensor | None
+) -> Linearised:
     plain = jacobian(state, problem)
     J = weigh(plain, problem)
     L = _point_factor(J, 0.0 if damping is None else damping[..., None])
     columns1 = (*J.camera1, J.residual1)
     columns2 = (*J.camera2, J.residual2)
-    Z = torch.stack([torch.stack(_whiten(L, _onto_point(J, c1, c2)), -2) for c1, c2 in zip(columns1, columns2)], -3)
+    Z = torch.stack(
+        [torch.stack(_whiten(L, _onto_point(J, c1, c2)), -2) for c1, c2 in zip(columns1, columns2)],
+        -3,
+    )
     H = _gram(columns1) + _gram(columns2)
     flat = Z.flatten(-2)
     m = problem.size
     reduced, H = H - flat @ flat.mT, H[..., :m, :m]
     S = reduced[..., :m, :m]
     if near is not None and problem.loss != "squared":
-        # At the minimum the points see no residual (J_y^T r = 0): the curvature along it is the camera's alone.
-        bend = 2 * problem.weights * problem.loss_terms(plain.residual1, plain.residual2).curvature * near[..., None]
-        along = torch.stack([_onto_residual(plain, c1, c2) for c1, c2 in zip(plain.camera1, plain.camera2)], -2)
+        # At the minimum the points see no residual (J_y^T r = 0): the curvature along it is the
+        # camera's alone.
+        bend = (
+            2
+            * problem.weights
+            * problem.loss_terms(plain.residual1, plain.residual2).curvature
+            * near[..., None]
+        )
+        along = torch.stack(
+            [_onto_residual(plain, c1, c2) for c1, c2 in zip(plain.camera1, plain.camera2)], -2
+        )
         S = S + (along * bend[..., None, :]) @ along.mT
     return Linearised(S, reduced[..., :m, m], Z, L, H)
 
@@ -284,7 +332,8 @@ def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
     l10, l20 = uv / l00, uw / l00
     l11 = (grow * vv - l10 * l10).clamp_min(_TINY).sqrt()
     l21 = (vw - l20 * l10) / l11
-    # A point on the epipole, or beyond a redescending loss, has nothing to move it: the floor keeps it where it is.
+    # A point on the epipole, or beyond a redescending loss, has nothing to move it: the floor keeps
+    # it where it is.
     l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
     return l00, l10, l11, l20, l21, l22
 
@@ -325,7 +374,9 @@ def back_substitute(L: tuple[Tensor, ...], z: Vector) -> Vector:
 def _gram(columns: tuple[Pair | None, ...]) -> Tensor:
     """All inner products between the columns of one image."""
     zero = torch.zeros_like(next(c for c in columns if c is not None)[0])
-    J = torch.stack([torch.stack(torch.broadcast_tensors(*(c or (zero, zero))), -2) for c in columns], -3).flatten(-2)
+    J = torch.stack(
+        [torch.stack(torch.broadcast_tensors(*(c or (zero, zero))), -2) for c in columns], -3
+    ).flatten(-2)
     return J @ J.mT
 
 

@@ -19,7 +19,8 @@ _TOLERANCE = 1e-12  # of the cost: the decrease still to be had at convergence
 _NEAR = 1e-2  # of the cost: a step that gains less is close to the minimum
 _EXACT = 1e-20  # pixels squared per match: rounding of the residuals
 _DAMPING = (1e-4, 10.0)  # at the start, and the factor by which it changes
-_POINT_DAMPING = 1e-5  # times the damping: the points need little, and whatever they get is shared out to the camera
+# times the damping: the points need little, and whatever they get is shared out to the camera
+_POINT_DAMPING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +30,12 @@ class TwoViewBundle:
     Attributes:
         R: ``(*B, 3, 3)``.
         t: ``(*B, 3)`` unit length, ``X2 = R X1 + t``.
-        inverse_depth: ``(*B, N, 3)`` points as ``(u, v, rho)``: normalised coordinates in image 1 and inverse depth; rho
-            is zero at infinity, and negative where the rays meet behind camera 1.
+        inverse_depth: ``(*B, N, 3)`` points as ``(u, v, rho)``: normalised coordinates in image 1
+            and inverse depth; rho is zero at infinity, and negative where the rays meet behind
+            camera 1.
         K1, K2: ``(*B, 3, 3)``, with the focal lengths found where they were free.
-        cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after each step.
+        cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after
+            each step.
         iterations: ``(*B,)`` int64, linearisations until convergence.
         converged: ``(*B,)`` bool.
         x1, x2, weights, loss, loss_scale, focal: the problem that was solved.
@@ -63,7 +66,9 @@ class TwoViewBundle:
 
     def problem(self) -> Problem:
         """The least-squares problem at the cameras found, float64."""
-        x1, x2, weights, K1, K2 = (a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
+        x1, x2, weights, K1, K2 = (
+            a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
+        )
         return Problem(x1, x2, _regular(weights), K1, K2, self.loss, self.loss_scale, self.focal)
 
     def state(self) -> State:
@@ -89,34 +94,41 @@ def bundle_adjust(
 ) -> TwoViewBundle:
     """Refine the pose and all points (and, if asked, the focal lengths) from a starting pose.
 
-    Levenberg-Marquardt on the reduced camera system, with analytic Jacobians and points as direction and inverse depth;
-    time and memory are linear in N. The minimum is differentiable by x1, x2, weights, K1 and K2: first derivatives, by
-    the implicit function theorem with the exact Hessian, at a price that does not depend on the iterations. The start
-    R, t has derivative zero.
+    Levenberg-Marquardt on the reduced camera system, with analytic Jacobians and points as
+    direction and inverse depth; time and memory are linear in N. The minimum is differentiable by
+    x1, x2, weights, K1 and K2: first derivatives, by the implicit function theorem with the exact
+    Hessian, at a price that does not depend on the iterations. The start R, t has derivative zero.
 
     Args:
         x1, x2: ``(*B, N, 2)`` pixels, undistorted; N at least 5 plus the free focal lengths.
         K1, K2: ``(*B, 3, 3)`` intrinsics.
         R, t: ``(*B, 3, 3)``, ``(*B, 3)`` where to start; the length of t does not matter.
-        weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance), ones if left out.
+        weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance),
+            ones if left out.
         loss, loss_scale: of a match's residual, the 4-vector over both images, in pixels; see
             :func:`sfmkit.geometry.losses.loss_terms`.
-        focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal length is well
-            determined only where the optical axes do not meet (Kanatani and Matsunaga 2000); look at the covariance.
+        focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal
+            length is well determined only where the optical axes do not meet (Kanatani and
+            Matsunaga 2000); look at the covariance.
         max_iterations: 0 triangulates at the given pose and goes nowhere.
 
     Raises:
         InputError: on shapes, dtypes or devices that do not fit, NaN, unknown options, or a zero t.
         DegenerateGeometryError: with too few matches.
 
-    Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis, 2000.
+    Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis,
+    2000.
     """
     if focal not in FREE_FOCALS:
         raise InputError(f"focal must be 'fixed', 'shared' or 'separate', not {focal!r}")
     if not loss_scale > 0:
         raise InputError(f"loss_scale must be positive (pixels), not {loss_scale}")
     check_points(minimum=5 + FREE_FOCALS[focal], weights=weights, x1=x1, x2=x2)
-    if weights is not None and not _traced() and int((weights > 0).sum(-1).min()) < 5 + FREE_FOCALS[focal]:
+    if (
+        weights is not None
+        and not _traced()
+        and int((weights > 0).sum(-1).min()) < 5 + FREE_FOCALS[focal]
+    ):
         raise DegenerateGeometryError(
             "too few matches have a positive weight",
             matches=int((weights > 0).sum(-1).min()),
@@ -125,16 +137,27 @@ def bundle_adjust(
     check_intrinsics(x1, K1=K1, K2=K2)
     check_pose(R, t, like=x1)
     try:
-        batch = torch.broadcast_shapes(x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1])
+        batch = torch.broadcast_shapes(
+            x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1]
+        )
     except RuntimeError:
         raise InputError("the batch shapes of x1, K1, K2, R and t do not go together") from None
     ones = x1.new_ones(x1.shape[:-1]) if weights is None else weights
     problem = Problem(
-        x1.double(), x2.double(), _regular(ones.double()), K1.double(), K2.double(), loss, loss_scale, focal
+        x1.double(),
+        x2.double(),
+        _regular(ones.double()),
+        K1.double(),
+        K2.double(),
+        loss,
+        loss_scale,
+        focal,
     )
     fixed = problem.detached()
 
-    state = _start(fixed, R.detach().double().expand(*batch, 3, 3), t.detach().double().expand(*batch, 3))
+    state = _start(
+        fixed, R.detach().double().expand(*batch, 3, 3), t.detach().double().expand(*batch, 3)
+    )
     state, cost, iterations, converged = _minimise(state, fixed, max_iterations)
     if max_iterations > 0 and (_traced() or (torch.is_grad_enabled() and problem.requires_grad)):
         from ._implicit import attach_derivatives
@@ -161,7 +184,8 @@ def bundle_adjust(
 
 
 def _regular(weights: Tensor) -> Tensor:
-    """Weights with zero made next to nothing, so that a match without weight still has a point of its own."""
+    """Weights with zero made next to nothing, so that a match without weight still has a point of
+    its own."""
     return weights + 1e-12 * weights.detach().amax(-1, keepdim=True)
 
 
@@ -173,9 +197,14 @@ def _start(problem: Problem, R: Tensor, t: Tensor) -> State:
     return State(R, t, torch.zeros_like(t[..., :2]), (x / z, y / z, w / z))
 
 
-def _minimise(state: State, problem: Problem, max_iterations: int) -> tuple[State, Tensor, Tensor, Tensor]:
-    """Levenberg-Marquardt, every batch item at its own pace: state, cost history, iterations, converged."""
-    watched = not _traced()  # inside a transform values cannot decide when to stop: all iterations are run
+def _minimise(
+    state: State, problem: Problem, max_iterations: int
+) -> tuple[State, Tensor, Tensor, Tensor]:
+    """Levenberg-Marquardt, every batch item at its own pace: state, cost history, iterations,
+    converged."""
+    watched = (
+        not _traced()
+    )  # inside a transform values cannot decide when to stop: all iterations are run
     cost = problem.cost(state)
     n = problem.x1.shape[-2]
     damping = torch.full_like(cost, _DAMPING[0])
@@ -188,8 +217,8 @@ def _minimise(state: State, problem: Problem, max_iterations: int) -> tuple[Stat
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
-        # The points follow to second order, so that the camera's step is judged on its own merits: along a curved valley
-        # (a free focal length) this takes a tenth of the iterations.
+        # The points follow to second order, so that the camera's step is judged on its own merits:
+        # along a curved valley (a free focal length) this takes a tenth of the iterations.
         trial = settle_points(trial, problem, _POINT_DAMPING * damping)
         reached = problem.cost(trial)
         # What a full step could still gain, from the points and then from the camera.

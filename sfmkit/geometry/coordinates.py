@@ -45,7 +45,8 @@ def _normalize(x: Tensor, K: Tensor) -> Tensor:
 
 
 def denormalize(xn: Tensor, K: Tensor) -> Tensor:
-    """Normalised coordinates to pixels: ``K xn``; the inverse of :func:`normalize`, same shapes and errors."""
+    """Normalised coordinates to pixels: ``K xn``; the inverse of :func:`normalize`, same shapes and
+    errors."""
     check_kind(xn=xn)
     check_intrinsics(xn, K=K)
     u, v = xn[..., 0], xn[..., 1]
@@ -59,9 +60,11 @@ def denormalize(xn: Tensor, K: Tensor) -> Tensor:
 
 
 def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Similarity that moves the (weighted) centroid to the origin and the mean squared distance from it to 2.
+    """Similarity that moves the (weighted) centroid to the origin and the mean squared distance
+    from it to 2.
 
-    The root mean square distance, not the mean distance, is brought to √2: it conditions as well and is smooth.
+    The root mean square distance, not the mean distance, is brought to √2: it conditions as well
+    and is smooth.
 
     Args:
         x: (*B, N, 2).
@@ -71,7 +74,8 @@ def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Ten
         xn: (*B, N, 2) the moved points.
         T: (*B, 3, 3) with ``xn = T x``. Points that all coincide are centred and keep their scale.
 
-    Source: Hartley, "In defense of the eight-point algorithm", PAMI 1997; Hartley & Zisserman 4.4.4.
+    Source: Hartley, "In defense of the eight-point algorithm", PAMI 1997; Hartley & Zisserman
+    4.4.4.
     """
     check_points(1, weights, x=x)
     return _hartley(x, weights)
@@ -92,7 +96,18 @@ def _hartley(x: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
     scale = torch.where(spread, 2 / torch.where(spread, variance, 1.0), 1.0).sqrt()
     zero, one = torch.zeros_like(scale), torch.ones_like(scale)
     T = torch.stack(
-        (scale, zero, -scale * centre[..., 0], zero, scale, -scale * centre[..., 1], zero, zero, one), -1
+        (
+            scale,
+            zero,
+            -scale * centre[..., 0],
+            zero,
+            scale,
+            -scale * centre[..., 1],
+            zero,
+            zero,
+            one,
+        ),
+        -1,
     ).unflatten(-1, (3, 3))
     return moved * scale[..., None, None], T
 
@@ -102,5 +117,15 @@ def inverse_intrinsics(K: Tensor) -> Tensor:
     fx, s, cx = K[..., 0, 0], K[..., 0, 1], K[..., 0, 2]
     fy, cy = K[..., 1, 1], K[..., 1, 2]
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    rows = (1 / fx, -s / (fx * fy), (s * cy / fy - cx) / fx, zero, 1 / fy, -cy / fy, zero, zero, one)
+    rows = (
+        1 / fx,
+        -s / (fx * fy),
+        (s * cy / fy - cx) / fx,
+        zero,
+        1 / fy,
+        -cy / fy,
+        zero,
+        zero,
+        one,
+    )
     return torch.stack(rows, -1).unflatten(-1, (3, 3))

@@ -1,6 +1,7 @@
 """Radial-tangential lens distortion in normalised coordinates, and its inverse.
 
-Source: Brown, Close-range camera calibration, 1971; coefficients ``k1, k2, p1, p2, k3`` in OpenCV's order.
+Source: Brown, Close-range camera calibration, 1971; coefficients ``k1, k2, p1, p2, k3`` in OpenCV's
+order.
 """
 
 from __future__ import annotations
@@ -15,11 +16,14 @@ from ..errors import InputError
 from ._checks import _traced, check_matrices, check_points
 
 _SEARCH_STEPS = 10  # Newton doubles the digits each step; strong wide-angle distortion needs seven
-_TOLERANCE = 1e-10  # largest distance, in focal lengths, between the point and the image of its inverse
+_TOLERANCE = (
+    1e-10  # largest distance, in focal lengths, between the point and the image of its inverse
+)
 
 
 def distort(xn: Tensor, d: Tensor) -> Tensor:
-    """Where a lens puts the points of an ideal pinhole camera, ``(*B, N, 2)``, normalised coordinates.
+    """Where a lens puts the points of an ideal pinhole camera, ``(*B, N, 2)``, normalised
+    coordinates.
 
     Args:
         xn: ``(*B, N, 2)`` normalised coordinates without distortion.
@@ -34,18 +38,21 @@ def distort(xn: Tensor, d: Tensor) -> Tensor:
 
 
 def undistort(xn: Tensor, d: Tensor) -> Tensor:
-    """The ideal pinhole points that the lens put at xn, ``(*B, N, 2)``: the inverse of :func:`distort`.
+    """The ideal pinhole points that the lens put at xn, ``(*B, N, 2)``: the inverse of
+    :func:`distort`.
 
-    Newton's method on the two equations of a point, exact to rounding (float32 input is worked in float64). The
-    iterations are not recorded; the last two steps are, and give derivatives by xn and d up to the third order,
-    whatever the number of iterations before (implicit function theorem).
+    Newton's method on the two equations of a point, exact to rounding (float32 input is worked in
+    float64). The iterations are not recorded; the last two steps are, and give derivatives by xn
+    and d up to the third order, whatever the number of iterations before (implicit function
+    theorem).
 
     Args:
         xn: ``(*B, N, 2)`` normalised coordinates with distortion.
         d: ``(*B, 5)`` coefficients k1, k2, p1, p2, k3.
 
     Raises:
-        InputError: also where the lens model cannot be inverted: points beyond the radius at which it folds back.
+        InputError: also where the lens model cannot be inverted: points beyond the radius at which
+            it folds back.
     """
     check_points(xn=xn)
     check_matrices(xn, shape=(5,), d=d)
@@ -63,10 +70,12 @@ def undistort(xn: Tensor, d: Tensor) -> Tensor:
 
 
 def _check_inverse(x: Tensor, target: Tensor, d: Tensor) -> None:
-    """Raise InputError where x does not lead back to its target, or lies where the image has folded back on itself."""
+    """Raise InputError where x does not lead back to its target, or lies where the image has folded
+    back on itself."""
     u, v, _ = _distort(x[..., 0], x[..., 1], d)
     miss = torch.maximum((u - target[..., 0]).abs(), (v - target[..., 1]).abs())
-    # The image grows with the radius while 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 > 0, s the squared radius.
+    # The image grows with the radius while 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 > 0, s the squared
+    # radius.
     folds = []
     for k1, k2, _, _, k3 in d.reshape(-1, 5).tolist():
         roots = np.roots((7 * k3, 5 * k2, 3 * k1, 1.0))
@@ -80,8 +89,11 @@ def _check_inverse(x: Tensor, target: Tensor, d: Tensor) -> None:
         )
 
 
-def _distort(x: Tensor, y: Tensor, d: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """The distorted point and the Jacobian ``(du/dx, du/dy, dv/dx, dv/dy)``, components ``(*B, N)``."""
+def _distort(
+    x: Tensor, y: Tensor, d: Tensor
+) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor, Tensor]]:
+    """The distorted point and the Jacobian ``(du/dx, du/dy, dv/dx, dv/dy)``, components
+    ``(*B, N)``."""
     k1, k2, p1, p2, k3 = (d[..., i, None] for i in range(5))
     s = x * x + y * y
     radial = 1 + s * (k1 + s * (k2 + s * k3))

@@ -1,4 +1,5 @@
-"""The essential matrix, ``xn2^T E xn1 = 0`` in normalised coordinates: its manifold, its poses, and where it comes from."""
+"""The essential matrix, ``xn2^T E xn1 = 0`` in normalised coordinates: its manifold, its poses, and
+where it comes from."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from .lie import hat
 
 
 def essential_from_pose(R: Tensor, t: Tensor) -> Tensor:
-    """``E = [t]x R`` of the cameras ``X2 = R X1 + t``; R (*B, 3, 3), t (*B, 3). Source: Hartley & Zisserman 9.6."""
+    """``E = [t]x R`` of the cameras ``X2 = R X1 + t``; R (*B, 3, 3), t (*B, 3). Source: Hartley &
+    Zisserman 9.6."""
     check_matrices(t, R=R)
     return hat(t) @ R
 
@@ -30,9 +32,11 @@ def essential_from_fundamental(F: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
 
 
 def project_to_essential(E: Tensor) -> Tensor:
-    """The essential matrix nearest in direction to E: singular values (1, 1, 0), that is Frobenius norm √2.
+    """The essential matrix nearest in direction to E: singular values (1, 1, 0), that is Frobenius
+    norm √2.
 
-    With u, v the left and right null vectors of the rank-two part E', ``E' + [u]x E' [v]x^T`` has its two singular values
+    With u, v the left and right null vectors of the rank-two part E', ``E' + [u]x E' [v]x^T`` has
+    its two singular values
     averaged: no SVD is differentiated, so the derivative is finite on the manifold itself (there
     ``kornia.geometry.epipolar`` gives NaN).
 
@@ -48,7 +52,9 @@ def project_to_essential(E: Tensor) -> Tensor:
 
 def _project(E: Tensor) -> tuple[Tensor, Tensor]:
     """The projection, and the unit left null vector u (the translation up to its sign)."""
-    E = E / E.detach().flatten(-2).norm(dim=-1)[..., None, None].clamp(min=torch.finfo(E.dtype).tiny)
+    E = E / E.detach().flatten(-2).norm(dim=-1)[..., None, None].clamp(
+        min=torch.finfo(E.dtype).tiny
+    )
     v, _ = smallest_singular_vector(E)
     u, _ = smallest_singular_vector(E.mT)
     E = E - (E @ v[..., None]) * v[..., None, :]
@@ -79,28 +85,32 @@ def decompose_essential(E: Tensor) -> tuple[Tensor, Tensor]:
     t = t * torch.where(largest < 0, -1.0, 1.0)
     C, tE = cofactors(P), hat(t) @ P
     R1, R2 = C - tE, C + tE
-    return torch.stack((R1, R1, R2, R2), -3).to(E.dtype), torch.stack((t, -t, t, -t), -2).to(E.dtype)
+    return torch.stack((R1, R1, R2, R2), -3).to(E.dtype), torch.stack((t, -t, t, -t), -2).to(
+        E.dtype
+    )
 
 
 def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
     """All real essential matrices of five matches.
 
-    Differentiated implicitly: the solver's own steps are constants, and each solution moves on the essential manifold
-    so that the five constraints stay met (implicit function theorem).
+    Differentiated implicitly: the solver's own steps are constants, and each solution moves on the
+    essential manifold so that the five constraints stay met (implicit function theorem).
 
     Args:
         xn1, xn2: (*B, 5, 2) normalised coordinates.
 
     Returns:
-        E: (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary sign; zero where there is none.
+        E: (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary sign; zero
+            where there is none.
         valid: (*B, 10) bool, the solutions first.
 
     Raises:
         InputError: not exactly 5 matches; shapes, dtypes, devices, NaN.
 
-    Source: Nister, "An efficient solution to the five-point relative pose problem", PAMI 2004; the degree-ten
-    polynomial is evaluated on the circle and its roots bracketed there (see ``_roots``) instead of Sturm's sequence. On 5000 exact
-    samples the true E is missed (by more than 1e-6) in 0.02 % under sideways and 0.28 % under forward motion; by
+    Source: Nister, "An efficient solution to the five-point relative pose problem", PAMI 2004; the
+    degree-ten polynomial is evaluated on the circle and its roots bracketed there (see ``_roots``)
+    instead of Sturm's sequence. On 5000 exact samples the true E is missed (by more than 1e-6) in
+    0.02 % under sideways and 0.28 % under forward motion; by
     ``kornia.geometry.epipolar.find_essential`` in 0.10 % and 1.72 %.
     """
     check_points(5, xn1=xn1, xn2=xn2)
@@ -124,6 +134,7 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
         a, b = rotation_step(E, x1[owner], x2[owner])
         E = rotated(E, a, b)
         moved = moved + a.abs().amax(-1)
-    # What a degenerate sample leaves behind is not a solution: it is not finite, went far, or still moves.
+    # What a degenerate sample leaves behind is not a solution: it is not finite, went far, or still
+    # moves.
     good = (moved < 1e-2) & (a.abs().amax(-1) < 1e-6) & E.isfinite().all(-1).all(-1)
     return slots(E[good], owner[good], len(x1), 10, batch)

@@ -14,22 +14,26 @@ from .lie import hat
 
 
 def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Tensor:
-    """F from 8 or more matches: the normalised eight-point algorithm, linear least squares and then rank 2.
+    """F from 8 or more matches: the normalised eight-point algorithm, linear least squares and then
+    rank 2.
 
     Args:
         x1, x2: (*B, N, 2) pixels, N >= 8.
         weights: (*B, N) or (N,) of the squared algebraic residuals.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm and rank 2; the sign is arbitrary. Float32 is computed in float64.
+        (*B, 3, 3) of unit Frobenius norm and rank 2; the sign is arbitrary. Float32 is computed in
+        float64.
 
     Raises:
-        DegenerateGeometryError: fewer than 8 matches, or matches that leave F open: of one plane, collinear, repeated
-            (in a batch: when all its members are so; where only some are, their F is finite but means nothing).
+        DegenerateGeometryError: fewer than 8 matches, or matches that leave F open: of one plane,
+            collinear, repeated (in a batch: when all its members are so; where only some are, their
+            F is finite but means nothing).
         InputError: shapes, dtypes, devices, NaN.
 
-    Source: Hartley & Zisserman 11.2, algorithm 11.1. kornia's ``find_fundamental`` differentiates through an SVD,
-    which is NaN where singular values meet; here the null vectors are differentiated implicitly.
+    Source: Hartley & Zisserman 11.2, algorithm 11.1. kornia's ``find_fundamental`` differentiates
+    through an SVD, which is NaN where singular values meet; here the null vectors are
+    differentiated implicitly.
     """
     check_points(8, weights, x1=x1, x2=x2)
     dtype = x1.dtype
@@ -38,7 +42,9 @@ def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) ->
     n1, T1 = _hartley(x1, weights)
     n2, T2 = _hartley(x2, weights)
     f, gap = smallest_singular_vector(epipolar_rows(n1, n2), weights)
-    check_determined(gap, dtype, "F", "they may lie on one plane, on one line, or repeat one another")
+    check_determined(
+        gap, dtype, "F", "they may lie on one plane, on one line, or repeat one another"
+    )
     F = T2.mT @ rank2(f.unflatten(-1, (3, 3))) @ T1
     return unit_norm(F).to(dtype)
 
@@ -50,13 +56,15 @@ def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
         x1, x2: (*B, 7, 2) pixels.
 
     Returns:
-        F: (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2, arbitrary sign; zero where there is none.
+        F: (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2, arbitrary sign;
+            zero where there is none.
         valid: (*B, 3) bool, the solutions first.
 
     Raises:
         InputError: not exactly 7 matches; shapes, dtypes, devices, NaN.
 
-    Source: Hartley & Zisserman 11.1.2; the cubic is evaluated on the circle and its roots bracketed there (``_roots``).
+    Source: Hartley & Zisserman 11.1.2; the cubic is evaluated on the circle and its roots bracketed
+    there (``_roots``).
     """
     check_points(7, x1=x1, x2=x2)
     if x1.shape[-2] != 7:
@@ -70,7 +78,9 @@ def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
         F = F - _seven_point_step(F, rows, valid)
     F = T2.mT[..., None, :, :] @ F @ T1[..., None, :, :]
     size = F.flatten(-2).norm(dim=-1)[..., None, None]
-    return torch.where(valid[..., None, None], F / torch.where(size > 0, size, 1.0), 0.0).to(dtype), valid
+    return torch.where(valid[..., None, None], F / torch.where(size > 0, size, 1.0), 0.0).to(
+        dtype
+    ), valid
 
 
 def seven_point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
@@ -101,8 +111,11 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     return slots(F[good], owner[good], len(x1), 3, batch)
 
 
-def slots(M: Tensor, owner: Tensor, samples: int, most: int, batch: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Solutions (M, 3, 3) by sample as (*B, most, 3, 3), zeros where there is none, and which slots hold one."""
+def slots(
+    M: Tensor, owner: Tensor, samples: int, most: int, batch: tuple[int, ...]
+) -> tuple[Tensor, Tensor]:
+    """Solutions (M, 3, 3) by sample as (*B, most, 3, 3), zeros where there is none, and which slots
+    hold one."""
     count = torch.bincount(owner, minlength=samples)
     slot = torch.arange(len(owner), device=M.device) - (count.cumsum(0) - count)[owner]
     out = M.new_zeros(samples, most, 3, 3)
@@ -112,10 +125,13 @@ def slots(M: Tensor, owner: Tensor, samples: int, most: int, batch: tuple[int, .
 
 
 def _seven_point_step(F: Tensor, rows: Tensor, valid: Tensor) -> Tensor:
-    """The change of the constant F that Newton's method makes for: seven matches, a zero determinant, a fixed norm."""
+    """The change of the constant F that Newton's method makes for: seven matches, a zero
+    determinant, a fixed norm."""
     f = F.flatten(-2)[..., None]
     minors = cofactors(F)
-    J = torch.cat((rows.detach().expand(*F.shape[:-2], 7, 9), minors.flatten(-2)[..., None, :], f.mT), -2)
+    J = torch.cat(
+        (rows.detach().expand(*F.shape[:-2], 7, 9), minors.flatten(-2)[..., None, :], f.mT), -2
+    )
     determinant = (F[..., 0, :] * minors[..., 0, :]).sum(-1)[..., None, None]
     value = torch.cat((rows @ f, determinant, torch.zeros_like(determinant)), -2)
     J = torch.where(valid[..., None, None], J, torch.eye(9, dtype=F.dtype, device=F.device))
@@ -136,9 +152,11 @@ def epipolar_rows(x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def rank2(F: Tensor) -> Tensor:
-    """The nearest singular matrix in the Frobenius norm, ``F - (F v) v^T`` with v the weakest right singular vector.
+    """The nearest singular matrix in the Frobenius norm, ``F - (F v) v^T`` with v the weakest right
+    singular vector.
 
-    The same as zeroing the smallest singular value, with a finite derivative when it is zero already.
+    The same as zeroing the smallest singular value, with a finite derivative when it is zero
+    already.
     """
     v, _ = smallest_singular_vector(F)
     return F - (F @ v[..., None]) * v[..., None, :]
@@ -157,13 +175,15 @@ def fundamental_from_essential(E: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
 
 
 def fundamental_from_pose(R: Tensor, t: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
-    """``F = K2^-T [t]x R K1^-1`` of the cameras ``X2 = R X1 + t``; R (*B, 3, 3), t (*B, 3). Source: ibid., eq. 9.2."""
+    """``F = K2^-T [t]x R K1^-1`` of the cameras ``X2 = R X1 + t``; R (*B, 3, 3), t (*B, 3). Source:
+    ibid., eq. 9.2."""
     check_matrices(R=R)
     return fundamental_from_essential(hat(t) @ R, K1, K2)
 
 
 def epipolar_lines(F: Tensor, x: Tensor) -> Tensor:
-    """The lines ``F x`` in the other image: (*B, N, 3) ``(a, b, c)``, ``a u + b v + c = 0`` with ``a² + b² = 1``.
+    """The lines ``F x`` in the other image: (*B, N, 3) ``(a, b, c)``, ``a u + b v + c = 0`` with
+    ``a² + b² = 1``.
 
     The value of the line at a pixel is then its signed distance in pixels.
 
@@ -182,7 +202,8 @@ def epipolar_lines(F: Tensor, x: Tensor) -> Tensor:
 
 
 def epipoles(F: Tensor) -> tuple[Tensor, Tensor]:
-    """The epipoles ``F e1 = 0`` and ``F^T e2 = 0``: (*B, 3) each, homogeneous pixels of unit length.
+    """The epipoles ``F e1 = 0`` and ``F^T e2 = 0``: (*B, 3) each, homogeneous pixels of unit
+    length.
 
     Homogeneous because they may lie at infinity (sideways motion); the sign is arbitrary.
     """
@@ -196,14 +217,16 @@ def epipoles(F: Tensor) -> tuple[Tensor, Tensor]:
 def sampson_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     """Signed first-order distance of a match to the epipolar geometry, in pixels: (*B, N).
 
-    ``x2^T F x1 / sqrt((F x1)_1² + (F x1)_2² + (F^T x2)_1² + (F^T x2)_2²)``: how far the four coordinates of the match
-    have to move, together, to meet the constraint. Zero where both points are the epipoles.
+    ``x2^T F x1 / sqrt((F x1)_1² + (F x1)_2² + (F^T x2)_1² + (F^T x2)_2²)``: how far the four
+    coordinates of the match have to move, together, to meet the constraint. Zero where both points
+    are the epipoles.
 
     Args:
         F: (*B, 3, 3) of any scale; (*B, 1) hypotheses broadcast against shared points.
         x1, x2: (*B, N, 2) pixels.
 
-    Source: Hartley & Zisserman, eq. 11.9; Sampson, "Fitting conic sections to very scattered data", 1982.
+    Source: Hartley & Zisserman, eq. 11.9; Sampson, "Fitting conic sections to very scattered data",
+    1982.
     """
     check_points(x1=x1, x2=x2)
     check_matrices(x1, F=F)
@@ -222,7 +245,8 @@ def squared_sampson_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def symmetric_epipolar_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared distance of x2 to the line of x1 plus that of x1 to the line of x2, square pixels.
+    """(*B, N) squared distance of x2 to the line of x1 plus that of x1 to the line of x2, square
+    pixels.
 
     Args as for :func:`sampson_distance`. Source: Hartley & Zisserman, eq. 11.10.
     """
@@ -237,7 +261,8 @@ Pair = tuple[Tensor, Tensor]
 
 
 def _residual_and_lines(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Pair, Pair]:
-    """``x2^T F x1`` and the first two coordinates of the lines ``F x1`` and ``F^T x2``; each (*B, N)."""
+    """``x2^T F x1`` and the first two coordinates of the lines ``F x1`` and ``F^T x2``; each (*B,
+    N)."""
     f = F.unsqueeze(-1)
     u1, v1 = x1[..., 0], x1[..., 1]
     u2, v2 = x2[..., 0], x2[..., 1]

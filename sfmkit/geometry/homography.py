@@ -1,4 +1,5 @@
-"""Homographies ``x2 = H x1`` between pixels: estimation, distances, and the poses and planes behind them."""
+"""Homographies ``x2 = H x1`` between pixels: estimation, distances, and the poses and planes behind
+them."""
 
 from __future__ import annotations
 
@@ -20,15 +21,18 @@ def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Ten
         weights: (*B, N) or (N,) of the squared algebraic residuals.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm, with positive determinant. Float32 is computed in float64.
+        (*B, 3, 3) of unit Frobenius norm, with positive determinant. Float32 is computed in
+        float64.
 
     Raises:
-        DegenerateGeometryError: fewer than 4 matches, or matches that leave H open: collinear or repeated (in a batch:
-            when all its members are so; where only some are, their H is finite but means nothing).
+        DegenerateGeometryError: fewer than 4 matches, or matches that leave H open: collinear or
+            repeated (in a batch: when all its members are so; where only some are, their H is
+            finite but means nothing).
         InputError: shapes, dtypes, devices, NaN.
 
-    Source: Hartley & Zisserman 4.1 and 4.4, algorithm 4.2. The null vector is differentiated implicitly, unlike that of
-    kornia's ``find_homography_dlt``, whose SVD's derivative divides by differences of all singular values.
+    Source: Hartley & Zisserman 4.1 and 4.4, algorithm 4.2. The null vector is differentiated
+    implicitly, unlike that of kornia's ``find_homography_dlt``, whose SVD's derivative divides by
+    differences of all singular values.
     """
     check_points(4, weights, x1=x1, x2=x2)
     dtype = x1.dtype
@@ -40,25 +44,29 @@ def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Ten
     u, v = n2[..., :1], n2[..., 1:]
     zero = torch.zeros_like(h1)
     rows = torch.cat((torch.cat((h1, zero, -u * h1), -1), torch.cat((zero, h1, -v * h1), -1)), -2)
-    h, gap = smallest_singular_vector(rows, None if weights is None else torch.cat((weights, weights), -1))
+    h, gap = smallest_singular_vector(
+        rows, None if weights is None else torch.cat((weights, weights), -1)
+    )
     check_determined(gap, dtype, "H", "they may lie on one line or repeat one another")
     H = inverse_intrinsics(T2) @ h.unflatten(-1, (3, 3)) @ T1
     return _oriented(H).to(dtype)
 
 
 def homography_4point(x1: Tensor, x2: Tensor) -> Tensor:
-    """H of exactly four matches, in closed form: products of 3 x 3 determinants, no decomposition and no division.
+    """H of exactly four matches, in closed form: products of 3 x 3 determinants, no decomposition
+    and no division.
 
     Args:
         x1, x2: (*B, 4, 2) pixels, no three on a line.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm and positive determinant; zero or singular when three points lie on a line.
+        (*B, 3, 3) of unit Frobenius norm and positive determinant; zero or singular when three
+        points lie on a line.
 
     Source: Hartley & Zisserman 2.3, each set of four points as a projective basis. Chosen for
-    what it does to bad samples, not for speed: with one repeated point in a batch, values and derivatives of
-    ``kornia.geometry.get_perspective_transform`` (8 x 8 systems) are not finite, here they are. 1000 samples take
-    1.0 ms, kornia's 0.3 ms.
+    what it does to bad samples, not for speed: with one repeated point in a batch, values and
+    derivatives of ``kornia.geometry.get_perspective_transform`` (8 x 8 systems) are not finite,
+    here they are. 1000 samples take 1.0 ms, kornia's 0.3 ms.
     """
     check_points(4, x1=x1, x2=x2)
     if x1.shape[-2] != 4:
@@ -80,10 +88,13 @@ def _four_point(x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def _basis(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Of four points p: the scales s with ``p4 ~ Σ s_i p_i`` (*B, 3), and the rows ``p2 x p3, p3 x p1, p1 x p2``."""
+    """Of four points p: the scales s with ``p4 ~ Σ s_i p_i`` (*B, 3), and the rows
+    ``p2 x p3, p3 x p1, p1 x p2``."""
     p = to_homogeneous(x)
     p1, p2, p3, p4 = p.unbind(-2)
-    cross = torch.stack([torch.linalg.cross(a, b, dim=-1) for a, b in ((p2, p3), (p3, p1), (p1, p2))], -2)
+    cross = torch.stack(
+        [torch.linalg.cross(a, b, dim=-1) for a, b in ((p2, p3), (p3, p1), (p1, p2))], -2
+    )
     return (cross @ p4[..., None]).squeeze(-1), cross
 
 
@@ -109,21 +120,25 @@ def _transfer(H: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared distance of x2 from ``H x1``, square pixels. Source: Hartley & Zisserman, eq. 4.6."""
+    """(*B, N) squared distance of x2 from ``H x1``, square pixels. Source: Hartley & Zisserman, eq.
+    4.6."""
     check_points(x1=x1, x2=x2)
     return ((x2 - transfer(H, x1)) ** 2).sum(-1)
 
 
 def symmetric_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared distances ``|x2 - H x1|² + |x1 - H^-1 x2|²``, square pixels. Source: ibid., eq. 4.7."""
+    """(*B, N) squared distances ``|x2 - H x1|² + |x1 - H^-1 x2|²``, square pixels. Source: ibid.,
+    eq. 4.7."""
     return transfer_error(H, x1, x2) + transfer_error(torch.linalg.inv(H), x2, x1)
 
 
 def homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared first-order distance of a match to ``x2 = H x1``, shared by its four coordinates, square pixels.
+    """(*B, N) squared first-order distance of a match to ``x2 = H x1``, shared by its four
+    coordinates, square pixels.
 
-    With ``r = x2 - H x1`` and A the derivative of ``H x1`` it is ``r^T (I + A A^T)^-1 r``: comparable with the Sampson
-    distance to an epipolar geometry. Infinite where H sends x1 to infinity.
+    With ``r = x2 - H x1`` and A the derivative of ``H x1`` it is ``r^T (I + A A^T)^-1 r``:
+    comparable with the Sampson distance to an epipolar geometry. Infinite where H sends x1 to
+    infinity.
 
     Source: Hartley & Zisserman 4.2.6.
     """
@@ -135,7 +150,9 @@ def homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
 def _homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     y, w = _transfer(H, x1)
     h = H.unsqueeze(-1)
-    a, b, c, d = ((h[..., i, j, :] - y[..., i] * h[..., 2, j, :]) / w for i in range(2) for j in range(2))
+    a, b, c, d = (
+        (h[..., i, j, :] - y[..., i] * h[..., 2, j, :]) / w for i in range(2) for j in range(2)
+    )
     r, s = x2[..., 0] - y[..., 0], x2[..., 1] - y[..., 1]
     # r^T (I + A A^T)^-1 r as a ratio of sums of squares: nothing cancels.
     square = r * r + s * s + (c * r - a * s) ** 2 + (d * r - b * s) ** 2
@@ -143,8 +160,11 @@ def _homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     return torch.where(torch.isfinite(square), square, torch.inf)
 
 
-def homography_from_pose(R: Tensor, t: Tensor, n: Tensor, d: Tensor | float, K1: Tensor, K2: Tensor) -> Tensor:
-    """``K2 (R + t n^T / d) K1^-1``: what the plane ``n · X1 = d`` does between the cameras ``X2 = R X1 + t``.
+def homography_from_pose(
+    R: Tensor, t: Tensor, n: Tensor, d: Tensor | float, K1: Tensor, K2: Tensor
+) -> Tensor:
+    """``K2 (R + t n^T / d) K1^-1``: what the plane ``n · X1 = d`` does between the cameras
+    ``X2 = R X1 + t``.
 
     Args:
         R: (*B, 3, 3).
@@ -166,13 +186,14 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
         H: (*B, 3, 3) pixels, any scale and sign. K1, K2: (3, 3) or (*B, 3, 3).
 
     Returns:
-        R (*B, 4, 3, 3), t (*B, 4, 3), n (*B, 4, 3): t in units of the plane's distance, n unit. The third and fourth
-        solutions are the first and second with t and n negated; only those whose plane is in front,
-        ``n · (xn1, 1) > 0``, can have been seen. When t is parallel to n the pairs fall together; under pure rotation
-        t is 0 and n arbitrary.
+        R (*B, 4, 3, 3), t (*B, 4, 3), n (*B, 4, 3): t in units of the plane's distance, n unit. The
+        third and fourth solutions are the first and second with t and n negated; only those whose
+        plane is in front, ``n · (xn1, 1) > 0``, can have been seen. When t is parallel to n the
+        pairs fall together; under pure rotation t is 0 and n arbitrary.
 
-    Source: Ma, Soatto, Kosecka & Sastry, An Invitation to 3-D Vision, theorem 5.19. OpenCV's decomposition (Malis &
-    Vargas 2007) has no derivative; this is differentiated implicitly (least norm where solutions fall together).
+    Source: Ma, Soatto, Kosecka & Sastry, An Invitation to 3-D Vision, theorem 5.19. OpenCV's
+    decomposition (Malis & Vargas 2007) has no derivative; this is differentiated implicitly (least
+    norm where solutions fall together).
     """
     check_matrices(H=H)
     check_intrinsics(H, K1=K1, K2=K2)
@@ -188,10 +209,14 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
 
 
 def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """``scale A = R + t n^T``: scale, R, t, n, and the pseudo-inverse of the derivative in (ω, t, turn of n, log scale)."""
+    """``scale A = R + t n^T``: scale, R, t, n, and the pseudo-inverse of the derivative in (ω, t,
+    turn of n, log scale)."""
     values, V = torch.linalg.eigh(A.mT @ A)
     middle = values[..., 1]
-    scale = torch.where(torch.linalg.det(A) < 0, -1.0, 1.0) / middle.clamp(min=torch.finfo(A.dtype).tiny).sqrt()
+    scale = (
+        torch.where(torch.linalg.det(A) < 0, -1.0, 1.0)
+        / middle.clamp(min=torch.finfo(A.dtype).tiny).sqrt()
+    )
     A = scale[..., None, None] * A
     l3, l1 = values[..., 0] / middle, values[..., 2] / middle
     v3, v2, v1 = V.unbind(-1)

@@ -1,4 +1,5 @@
-"""Refinement of a homography on its eight degrees of freedom: marginal loss of Sampson distances in pixels."""
+"""Refinement of a homography on its eight degrees of freedom: marginal loss of Sampson distances in
+pixels."""
 
 from __future__ import annotations
 
@@ -20,12 +21,15 @@ _LEAST_MATCHES = 8
 
 
 class _State(NamedTuple):
-    """Matches under a homography G of normalised coordinates; `square` in square pixels, infinite behind the camera."""
+    """Matches under a homography G of normalised coordinates; `square` in square pixels, infinite
+    behind the camera."""
 
     residual: Tensor  # (N, 2)
     image: Tensor  # (N, 2) G x1
     depth: Tensor  # (N, 1) third homogeneous coordinate
-    information: Tensor  # (N, 2, 2) inverse covariance of the residual, for unit noise in both images
+    information: (
+        Tensor  # (N, 2, 2) inverse covariance of the residual, for unit noise in both images
+    )
     square: Tensor  # (N,)
 
 
@@ -38,13 +42,14 @@ def refine_homography(
     threshold_px: float = 3.0,
     max_iterations: int = 15,
 ) -> Tensor:
-    """The homography near H whose Sampson distances have the highest marginal score, by Levenberg-Marquardt.
+    """The homography near H whose Sampson distances have the highest marginal score, by
+    Levenberg-Marquardt.
 
-    Matches beyond the threshold do not count, those within count less the farther they are; H may move until others
-    come within.
+    Matches beyond the threshold do not count, those within count less the farther they are; H may
+    move until others come within.
 
-    The maximum is differentiable by x1, x2 and weights (first derivatives, implicit function theorem, exact Hessian); the
-    start has derivative zero.
+    The maximum is differentiable by x1, x2 and weights (first derivatives, implicit function
+    theorem, exact Hessian); the start has derivative zero.
 
     Args:
         H: (3, 3) ``x2 = H x1`` in pixels.
@@ -53,12 +58,14 @@ def refine_homography(
         threshold_px: see :mod:`sfmkit.geometry.losses`.
 
     Returns:
-        (3, 3) with ``H[2, 2] = 1``. H itself, so scaled, where fewer than 8 matches lie within the threshold.
+        (3, 3) with ``H[2, 2] = 1``. H itself, so scaled, where fewer than 8 matches lie within the
+        threshold.
 
     Raises:
         InputError: shapes, dtypes, NaN, a threshold that is not positive.
 
-    Source: Hartley & Zisserman 4.2.6 (distance), A6.2 (iteration); the loss: Barath et al., MAGSAC++, CVPR 2020.
+    Source: Hartley & Zisserman 4.2.6 (distance), A6.2 (iteration); the loss: Barath et al.,
+    MAGSAC++, CVPR 2020.
     """
     check_points(0, weights, x1=x1, x2=x2)
     check_matrices(x1, H=H)
@@ -97,7 +104,9 @@ def refine_homography(
         if int(near.sum()) < _LEAST_MATCHES:
             break
         weight = marginal_weight(now.square[near], threshold_px)
-        N, b = _normal_equations(h1, now, near, weight if weights is None else weight * weights[near])
+        N, b = _normal_equations(
+            h1, now, near, weight if weights is None else weight * weights[near]
+        )
         while True:
             step = torch.linalg.solve(N + damping * torch.diag(N.diagonal()), b)
             trial_G = G + torch.cat((step, step.new_zeros(1))).view(3, 3)
@@ -118,9 +127,15 @@ def refine_homography(
     return H
 
 
-def _attach_derivatives(H: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None, threshold_px: float) -> Tensor:
-    """One exact Newton step from the maximum, recorded through the data only: first derivatives are right."""
-    (_, T1), (_, T2) = _hartley(x1.detach()), _hartley(x2.detach())  # coordinates in which the Hessian is benign
+def _attach_derivatives(
+    H: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None, threshold_px: float
+) -> Tensor:
+    """One exact Newton step from the maximum, recorded through the data only: first derivatives are
+    right."""
+    (_, T1), (_, T2) = (
+        _hartley(x1.detach()),
+        _hartley(x2.detach()),
+    )  # coordinates in which the Hessian is benign
     G = T2 @ H @ torch.linalg.inv(T1)
     corner = G[2, 2]
     free = (G / corner).flatten()[:8]

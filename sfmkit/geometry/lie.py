@@ -1,7 +1,8 @@
 """The two curved spaces a relative pose lives on: rotations SO(3) and unit directions S^2.
 
-A small change of the pose is 5 numbers, ``(omega, b)``: ``R <- exp(omega) R`` with omega a rotation vector in radians,
-and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent to the sphere at t.
+A small change of the pose is 5 numbers, ``(omega, b)``: ``R <- exp(omega) R`` with omega a rotation
+vector in radians, and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent to the
+sphere at t.
 """
 
 from __future__ import annotations
@@ -20,27 +21,39 @@ def hat(w: Tensor) -> Tensor:
 
 
 def so3_exp(w: Tensor) -> Tensor:
-    """The rotation by |w| radians about w: ``(*B, 3)`` to ``(*B, 3, 3)``; smooth everywhere, zero included.
+    """The rotation by |w| radians about w: ``(*B, 3)`` to ``(*B, 3, 3)``; smooth everywhere, zero
+    included.
 
     Source: Rodrigues' formula; Hartley and Zisserman, 2nd ed., appendix A4.3.2.
     """
     square = (w * w).sum(-1)
     small = square < _SERIES
     angle = torch.where(small, 1.0, square).sqrt()
-    s = torch.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle)
+    s = torch.where(
+        small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle
+    )
     half = (angle / 2).sin() / angle
-    c = torch.where(small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), 2 * half * half)
+    c = torch.where(
+        small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), 2 * half * half
+    )
     W = hat(w)
-    return torch.eye(3, dtype=w.dtype, device=w.device) + s[..., None, None] * W + c[..., None, None] * (W @ W)
+    return (
+        torch.eye(3, dtype=w.dtype, device=w.device)
+        + s[..., None, None] * W
+        + c[..., None, None] * (W @ W)
+    )
 
 
 def so3_log(R: Tensor) -> Tensor:
-    """The rotation vector, |w| <= pi, of R: ``(*B, 3, 3)`` to ``(*B, 3)``; accurate and smooth at the identity.
+    """The rotation vector, |w| <= pi, of R: ``(*B, 3, 3)`` to ``(*B, 3)``; accurate and smooth at
+    the identity.
 
-    By way of the unit quaternion, whose outer product with itself is linear in R; its largest column is well away from
-    zero for every R, half turns included (where w jumps between two equal answers).
+    By way of the unit quaternion, whose outer product with itself is linear in R; its largest
+    column is well away from zero for every R, half turns included (where w jumps between two equal
+    answers).
 
-    Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, JGCD 2000 (the matrix).
+    Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, JGCD 2000
+    (the matrix).
     """
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in R.unbind(-2))
     outer = torch.stack(
@@ -60,30 +73,44 @@ def so3_log(R: Tensor) -> Tensor:
     square = (v * v).sum(-1)
     small = square < _SERIES
     length = torch.where(small, 1.0, square).sqrt()
-    u = square / torch.where(small, s * s, 1.0)  # tan^2 of the half angle; used where it is small only
-    series = 2 / torch.where(small, s, 1.0) * (1 - u / 3 + u * u / 5 - u**3 / 7 + u**4 / 9 - u**5 / 11)
+    u = square / torch.where(
+        small, s * s, 1.0
+    )  # tan^2 of the half angle; used where it is small only
+    series = (
+        2 / torch.where(small, s, 1.0) * (1 - u / 3 + u * u / 5 - u**3 / 7 + u**4 / 9 - u**5 / 11)
+    )
     return torch.where(small, series, 2 * torch.atan2(length, s) / length)[..., None] * v
 
 
 def tangent_basis(t: Tensor) -> Tensor:
-    """An orthonormal basis ``(*B, 3, 2)`` of the plane perpendicular to t ``(*B, 3)``; t, b1, b2 are right-handed.
+    """An orthonormal basis ``(*B, 3, 2)`` of the plane perpendicular to t ``(*B, 3)``; t, b1, b2
+    are right-handed.
 
     Continuous except where t changes which axis it is furthest from.
 
-    Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t to an axis).
+    Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t
+    to an axis).
     """
     t = t / t.norm(dim=-1, keepdim=True)
-    axis = (torch.arange(3, device=t.device) == t.detach().abs().argmin(-1, keepdim=True)).to(t.dtype)
+    axis = (torch.arange(3, device=t.device) == t.detach().abs().argmin(-1, keepdim=True)).to(
+        t.dtype
+    )
     b1 = torch.linalg.cross(t, axis, dim=-1)
     b1 = b1 / b1.norm(dim=-1, keepdim=True)
     return torch.stack((b1, torch.linalg.cross(t, b1, dim=-1)), -1)
 
 
 def sphere_exp(t: Tensor, v: Tensor) -> Tensor:
-    """Walk |v| radians along the great circle from unit t in the tangent direction v, both ``(*B, 3)``."""
+    """Walk |v| radians along the great circle from unit t in the tangent direction v, both
+    ``(*B, 3)``."""
     square = (v * v).sum(-1, keepdim=True)
     small = square < _SERIES
     angle = torch.where(small, 1.0, square).sqrt()
-    s = torch.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle)
-    moved = torch.where(small, 1 - square / 2 * (1 - square / 12 * (1 - square / 30)), angle.cos()) * t + s * v
+    s = torch.where(
+        small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle
+    )
+    moved = (
+        torch.where(small, 1 - square / 2 * (1 - square / 12 * (1 - square / 30)), angle.cos()) * t
+        + s * v
+    )
     return moved / moved.norm(dim=-1, keepdim=True)

@@ -1,15 +1,18 @@
 """Robust losses of squared residuals, and MAGSAC++'s marginal loss, which needs no noise level.
 
-The marginal loss. A match's residual r is taken to be the length of a four-vector of Gaussian noise (two image points)
-of standard deviation σ, cut off at ``k σ`` with k the 99 % quantile of the chi distribution with four degrees of
-freedom. σ is not known: it is uniform up to ``σ_max = threshold / k``. Averaging over σ leaves, with ``u = r² / 2σ_max²``,
+The marginal loss. A match's residual r is taken to be the length of a four-vector of Gaussian noise
+(two image points) of standard deviation σ, cut off at ``k σ`` with k the 99 % quantile of the chi
+distribution with four degrees of freedom. σ is not known: it is uniform up to
+``σ_max = threshold / k``. Averaging over σ leaves, with ``u = r² / 2σ_max²``,
 
     weight(r) ∝ Γ(3/2, u) - Γ(3/2, k²/2)          (the weight of a match in a least-squares fit)
     loss(r)   ∝ ∫_0^r s weight(s) ds ∝ u Γ(3/2, u) + γ(5/2, u) - u Γ(3/2, k²/2)
 
-zero, or constant, beyond the threshold: no inlier/outlier decision is made inside it, and no noise level is set.
+zero, or constant, beyond the threshold: no inlier/outlier decision is made inside it, and no noise
+level is set.
 
-Source: Baráth, Noskova, Ivashechkin & Matas, "MAGSAC++, a fast, reliable and accurate robust estimator", CVPR 2020.
+Source: Baráth, Noskova, Ivashechkin & Matas, "MAGSAC++, a fast, reliable and accurate robust
+estimator", CVPR 2020.
 """
 
 from __future__ import annotations
@@ -43,8 +46,9 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
     """Loss of squared residuals of any shape.
 
     Args:
-        scale: in units of the residual: where ``huber`` turns linear, ``cauchy`` levels off, or, for ``marginal``, the
-            threshold beyond which a residual no longer counts. ``squared`` ignores it.
+        scale: in units of the residual: where ``huber`` turns linear, ``cauchy`` levels off, or,
+            for ``marginal``, the threshold beyond which a residual no longer counts. ``squared``
+            ignores it.
     """
     k2 = scale**2
     if loss == "squared":
@@ -66,12 +70,14 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
 
 
 def marginal_weight(square: Tensor, threshold: float) -> Tensor:
-    """Weight in [0, 1] of a squared residual in a least-squares fit; 1 at 0, 0 from the threshold on."""
+    """Weight in [0, 1] of a squared residual in a least-squares fit; 1 at 0, 0 from the threshold
+    on."""
     return loss_terms("marginal", square, threshold).slope
 
 
 def marginal_score(square: Tensor, threshold: float) -> Tensor:
-    """Score in [0, 1] of a squared residual: 1 at 0, 0 from the threshold on; one minus the marginal loss."""
+    """Score in [0, 1] of a squared residual: 1 at 0, 0 from the threshold on; one minus the
+    marginal loss."""
     return 1 - _marginal_loss(*_incomplete_gamma(square * (_U / threshold**2))) / _MAX_LOSS
 
 

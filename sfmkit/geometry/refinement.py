@@ -1,4 +1,5 @@
-"""Refinement of a relative pose on its five degrees of freedom: robust Sampson distances in pixels, no points."""
+"""Refinement of a relative pose on its five degrees of freedom: robust Sampson distances in pixels,
+no points."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ class EssentialRefinement:
     Attributes:
         R: (*B, 3, 3).
         t: (*B, 3) unit, ``X2 = R X1 + t``.
-        cost: (*B, iterations + 1) half the weighted loss, square pixels, at the start and after each step.
+        cost: (*B, iterations + 1) half the weighted loss, square pixels, at the start and after
+            each step.
         iterations: (*B,) int64, linearisations until convergence.
         converged: (*B,) bool.
     """
@@ -58,15 +60,18 @@ def refine_essential(
     loss_scale: float = 0.5,
     max_iterations: int = 30,
 ) -> EssentialRefinement:
-    """The pose near (R, t) that minimises the weighted robust Sampson distances, by Levenberg-Marquardt.
+    """The pose near (R, t) that minimises the weighted robust Sampson distances, by
+    Levenberg-Marquardt.
 
-    Five unknowns: a rotation vector ω, ``R <- exp(ω) R``, and two tangent coordinates of t on the unit sphere. The
-    Jacobian is analytic, and all matches enter through one 9 x 9 matrix (the residual's derivatives by the entries
-    of E), so that a step on 20,000 matches costs 1.3 ms on one core, twice that while the process is still getting its memory. Near the minimum the curvature
-    of the loss is used too, which makes convergence nearly quadratic under robust losses.
+    Five unknowns: a rotation vector ω, ``R <- exp(ω) R``, and two tangent coordinates of t on the
+    unit sphere. The Jacobian is analytic, and all matches enter through one 9 x 9 matrix (the
+    residual's derivatives by the entries of E), so that a step on 20,000 matches costs 1.3 ms on
+    one core, twice that while the process is still getting its memory. Near the minimum the
+    curvature of the loss is used too, which makes convergence nearly quadratic under robust losses.
 
-    The minimum is differentiable by x1, x2, weights, K1 and K2 (first derivatives, implicit function theorem, exact
-    Hessian); the price does not depend on the iterations. The start has derivative zero.
+    The minimum is differentiable by x1, x2, weights, K1 and K2 (first derivatives, implicit
+    function theorem, exact Hessian); the price does not depend on the iterations. The start has
+    derivative zero.
 
     Args:
         R, t: (*B, 3, 3), (*B, 3) where to start; the length of t does not matter.
@@ -79,8 +84,8 @@ def refine_essential(
         InputError: shapes, dtypes, devices, NaN, a zero t.
         DegenerateGeometryError: fewer than 5 matches.
 
-    Source: Hartley & Zisserman 11.4.3 (the cost); Triggs et al., Bundle adjustment - a modern synthesis, 2000, 4.3
-    (robust steps); Krantz & Parks, The Implicit Function Theorem, 2002.
+    Source: Hartley & Zisserman 11.4.3 (the cost); Triggs et al., Bundle adjustment - a modern
+    synthesis, 2000, 4.3 (robust steps); Krantz & Parks, The Implicit Function Theorem, 2002.
     """
     check_points(5, weights, x1=x1, x2=x2)
     check_intrinsics(x1, K1=K1, K2=K2)
@@ -88,7 +93,9 @@ def refine_essential(
     if not loss_scale > 0:
         raise InputError(f"loss_scale must be positive (pixels), not {loss_scale}")
     try:
-        batch = torch.broadcast_shapes(x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1])
+        batch = torch.broadcast_shapes(
+            x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1]
+        )
     except RuntimeError:
         raise InputError("the batch shapes of R, t, x1, K1 and K2 do not go together") from None
     dtype = x1.dtype
@@ -98,7 +105,9 @@ def refine_essential(
     R = R.detach().double().expand(*batch, 3, 3)
     t = torch.nn.functional.normalize(t.detach().double(), dim=-1).expand(*batch, 3)
     R, t, cost, iterations, converged = _minimise(R, t, fixed, objective, max_iterations)
-    differentiated = torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in matches)
+    differentiated = torch.is_grad_enabled() and any(
+        a is not None and a.requires_grad for a in matches
+    )
     if max_iterations > 0 and (differentiated or _traced()):
         R, t = _attach_derivatives(R, t, fixed, matches, objective)
     return EssentialRefinement(R.to(dtype), t.to(dtype), cost.to(dtype), iterations, converged)
@@ -123,7 +132,10 @@ class _Matches(NamedTuple):
 
 
 def _matches(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, weights: Tensor | None) -> _Matches:
-    h1, h2 = (to_homogeneous(_normalize(x.double(), K.double())).mT.contiguous() for x, K in ((x1, K1), (x2, K2)))
+    h1, h2 = (
+        to_homogeneous(_normalize(x.double(), K.double())).mT.contiguous()
+        for x, K in ((x1, K1), (x2, K2))
+    )
     S1, S2 = (inverse_intrinsics(K.double()).mT[..., :2, :2] for K in (K1, K2))
     return _Matches(h1, h2, S1, S2, None if weights is None else weights.double())
 
@@ -149,18 +161,27 @@ def _total(terms: LossTerms, m: _Matches) -> Tensor:
     return 0.5 * value.sum(-1)
 
 
-def _linearise(residual: _Residual, terms: LossTerms, m: _Matches, near: Tensor) -> tuple[Tensor, Tensor]:
-    """Gradient (*B, 9) and robust Gauss-Newton matrix (*B, 9, 9) by the entries of E; near (*B,) the minimum or not.
+def _linearise(
+    residual: _Residual, terms: LossTerms, m: _Matches, near: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Gradient (*B, 9) and robust Gauss-Newton matrix (*B, 9, 9) by the entries of E; near (*B,)
+    the minimum or not.
 
-    ``dr/dE_ij = q (h2_i h1_j - u (m2_i h1_j + m1_j h2_i))`` with u = r q and m = S^T l, two entries long.
+    ``dr/dE_ij = q (h2_i h1_j - u (m2_i h1_j + m1_j h2_i))`` with u = r q and m = S^T l, two entries
+    long.
     """
     r, q, line1, line2 = residual
     u = r * q
-    pulled = q[..., None, :] * (m.h2 - torch.nn.functional.pad(u[..., None, :] * (m.S2.mT @ line2), (0, 0, 0, 1)))
+    pulled = q[..., None, :] * (
+        m.h2 - torch.nn.functional.pad(u[..., None, :] * (m.S2.mT @ line2), (0, 0, 0, 1))
+    )
     A = pulled[..., :, None, :] * m.h1[..., None, :, :]
-    A[..., :, :2, :] -= m.h2[..., :, None, :] * ((u * q)[..., None, :] * (m.S1.mT @ line1))[..., None, :, :]
+    A[..., :, :2, :] -= (
+        m.h2[..., :, None, :] * ((u * q)[..., None, :] * (m.S1.mT @ line1))[..., None, :, :]
+    )
     A = A.flatten(-3, -2)
-    # The slope alone majorises the loss and descends from anywhere; the true curvature converges fast, near the end.
+    # The slope alone majorises the loss and descends from anywhere; the true curvature converges
+    # fast, near the end.
     curvature = terms.slope + torch.where(near[..., None], 2 * terms.curvature * r * r, 0.0)
     slope = terms.slope * r
     if m.weights is not None:
@@ -169,7 +190,8 @@ def _linearise(residual: _Residual, terms: LossTerms, m: _Matches, near: Tensor)
 
 
 def _tangent(R: Tensor, t: Tensor) -> Tensor:
-    """(*B, 9, 5): the derivative of E = [t]x R by the rotation vector and the tangent coordinates of t."""
+    """(*B, 9, 5): the derivative of E = [t]x R by the rotation vector and the tangent coordinates
+    of t."""
     eye = torch.eye(3, dtype=R.dtype, device=R.device)
     rotation = hat(t)[..., None, :, :] @ hat(eye) @ R[..., None, :, :]
     translation = hat(tangent_basis(t).mT) @ R[..., None, :, :]
@@ -184,8 +206,11 @@ def _move(R: Tensor, t: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
 def _minimise(
     R: Tensor, t: Tensor, m: _Matches, objective: _Objective, max_iterations: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Levenberg-Marquardt, every batch item at its own pace: R, t, cost history, iterations, converged."""
-    watched = not _traced()  # inside a transform values cannot decide when to stop: all iterations are run
+    """Levenberg-Marquardt, every batch item at its own pace: R, t, cost history, iterations,
+    converged."""
+    watched = (
+        not _traced()
+    )  # inside a transform values cannot decide when to stop: all iterations are run
     residual = _residual(hat(t) @ R, m)
     terms = objective(residual.r**2)
     cost = _total(terms, m)
@@ -198,7 +223,9 @@ def _minimise(
         by_entry, matrix = _linearise(residual, terms, m, near)
         G = _tangent(R, t)
         g, H = (G.mT @ by_entry[..., None]), G.mT @ matrix @ G
-        H = H + torch.diag_embed(damping[..., None] * H.diagonal(dim1=-2, dim2=-1) + torch.finfo(H.dtype).tiny)
+        H = H + torch.diag_embed(
+            damping[..., None] * H.diagonal(dim1=-2, dim2=-1) + torch.finfo(H.dtype).tiny
+        )
         step = -torch.linalg.solve_ex(H, g)[0]
         R_new, t_new = _move(R, t, step.squeeze(-1))
         residual_new = _residual(hat(t_new) @ R_new, m)
@@ -208,7 +235,10 @@ def _minimise(
         arrived = (gain.abs() <= _TOLERANCE * cost + _EXACT * residual.r.shape[-1]) | converged
         iterations = iterations + (~converged).long()
         better = (reached <= cost) & ~converged
-        R, t = torch.where(better[..., None, None], R_new, R), torch.where(better[..., None], t_new, t)
+        R, t = (
+            torch.where(better[..., None, None], R_new, R),
+            torch.where(better[..., None], t_new, t),
+        )
         residual = _Residual(*(_where(better, a, b) for a, b in zip(residual_new, residual)))
         terms = LossTerms(*(_where(better, a, b) for a, b in zip(terms_new, terms)))
         cost = torch.where(better, reached, cost)
@@ -228,7 +258,8 @@ def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
 def _attach_derivatives(
     R: Tensor, t: Tensor, fixed: _Matches, matches: _Matches, objective: _Objective
 ) -> tuple[Tensor, Tensor]:
-    """One exact Newton step from the minimum, recorded through the data only: same values, first derivatives right."""
+    """One exact Newton step from the minimum, recorded through the data only: same values, first
+    derivatives right."""
 
     def cost(step: Tensor, m: _Matches) -> Tensor:
         R_new, t_new = _move(R, t, step)
@@ -241,7 +272,8 @@ def _attach_derivatives(
             torch.func.jvp(lambda s: gradient(s, fixed), (zero,), (e.expand_as(zero).clone(),))[1]
             for e in torch.eye(5, dtype=t.dtype, device=t.device)
         ]
-    # The pseudo-inverse: where nothing counts any more (all residuals cut off) the derivative is zero, not an error.
+    # The pseudo-inverse: where nothing counts any more (all residuals cut off) the derivative is
+    # zero, not an error.
     inverse = torch.linalg.pinv(torch.stack(columns, -1), rtol=1e-14)
     step = -(inverse @ gradient(zero, matches)[..., None]).squeeze(-1)
     return _move(R, t, step)

@@ -11,22 +11,29 @@ from .distortion import distort
 
 
 def project(
-    X: Tensor, K: Tensor, R: Tensor | None = None, t: Tensor | None = None, distortion: Tensor | None = None
+    X: Tensor,
+    K: Tensor,
+    R: Tensor | None = None,
+    t: Tensor | None = None,
+    distortion: Tensor | None = None,
 ) -> Tensor:
     """The pixels ``K distort(pi(R X + t))`` of points in space, ``(*B, N, 2)``.
 
-    Points behind the camera project too (through the centre); points in its focal plane come out infinite.
+    Points behind the camera project too (through the centre); points in its focal plane come out
+    infinite.
 
     Args:
         X: ``(*B, N, 3)`` points, or ``(*B, N, 4)`` homogeneous ones, which may lie at infinity.
         K: ``(*B, 3, 3)`` intrinsics in pixels.
-        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose of the camera; left out, X is in the camera's own frame.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose of the camera; left out, X is in the camera's own
+            frame.
         distortion: ``(*B, 5)`` k1, k2, p1, p2, k3.
 
     Raises:
         InputError: on shapes, dtypes or devices that do not fit, or NaN.
 
-    Source: Hartley and Zisserman, 2nd ed., equations 6.7 and 7.4 (pinhole); distortion as in :func:`distort`.
+    Source: Hartley and Zisserman, 2nd ed., equations 6.7 and 7.4 (pinhole); distortion as in
+    :func:`distort`.
     """
     if X.ndim < 2 or X.shape[-1] not in (3, 4):
         raise InputError(f"X must have shape (*B, N, 3) or (*B, N, 4), not {tuple(X.shape)}")
@@ -62,7 +69,8 @@ def reprojection_residuals(
         X: ``(*B, N, 3)`` points in camera 1 (or homogeneous ``(*B, N, 4)``).
         x1, x2: ``(*B, N, 2)`` pixels.
         K1, K2, R, t: cameras and pose, ``X2 = R X1 + t``.
-        d1, d2: ``(*B, 5)`` distortion of each camera; leave out for pixels that were undistorted before.
+        d1, d2: ``(*B, 5)`` distortion of each camera; leave out for pixels that were undistorted
+            before.
 
     Raises:
         InputError: on shapes, dtypes or devices that do not fit, or NaN.
@@ -82,7 +90,8 @@ def reprojection_error(
     d1: Tensor | None = None,
     d2: Tensor | None = None,
 ) -> Tensor:
-    """The root mean square over the two images of the distance between seen and projected, ``(*B, N)`` pixels.
+    """The root mean square over the two images of the distance between seen and projected,
+    ``(*B, N)`` pixels.
 
     Arguments and errors as :func:`reprojection_residuals`; the derivative at zero error is zero.
     """

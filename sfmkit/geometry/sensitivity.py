@@ -1,4 +1,5 @@
-"""Which matches a pose hangs on: its derivative by every match, and what dropping a match would do to it."""
+"""Which matches a pose hangs on: its derivative by every match, and what dropping a match would do
+to it."""
 
 from __future__ import annotations
 
@@ -15,9 +16,10 @@ from .bundle import TwoViewBundle
 def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
     """The derivative of the pose by each match, ``(*B, N, 5, 4)``, radians per pixel.
 
-    Rows: rotation vector (axes of camera 2) and the two tangent coordinates of t, as in :class:`Uncertainty`; columns:
-    x1, y1, x2, y2. Exact at the minimum (implicit function theorem with the exact Hessian), for all matches at once and
-    linear in N; what autograd through :func:`bundle_adjust` gives one output at a time.
+    Rows: rotation vector (axes of camera 2) and the two tangent coordinates of t, as in
+    :class:`Uncertainty`; columns: x1, y1, x2, y2. Exact at the minimum (implicit function theorem
+    with the exact Hessian), for all matches at once and linear in N; what autograd through
+    :func:`bundle_adjust` gives one output at a time.
     """
     state, problem = bundle.state(), bundle.problem()
     H = hessian(state, problem)
@@ -26,7 +28,8 @@ def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
     loss = problem.loss_terms(J.residual1, J.residual2)
     follow = torch.einsum("...kln,...lmn->...kmn", H.inverse, H.mixed)
     D = camera - torch.einsum("...rkn,...kmn->...rmn", point, follow)
-    # The gradient of the loss by the residual, slope r, itself changes by slope + 2 curvature r r^T.
+    # The gradient of the loss by the residual, slope r, itself changes by slope + 2 curvature r
+    # r^T.
     along = 2 * loss.curvature[..., None, :] * torch.einsum("...rn,...rmn->...mn", r, D)
     D = problem.weights[..., None, None, :] * (
         loss.slope[..., None, None, :] * D + r[..., :, None, :] * along[..., None, :, :]
@@ -39,11 +42,13 @@ class Influence:
     """What each match does for the pose.
 
     Attributes:
-        change: ``(*B, N, 5)`` how the pose would move if the match were dropped, radians, (rotation vector, t's tangent).
-        leverage: ``(*B, N)`` share of its own residual that a match decides, in [0, 1]; they sum to the number of
-            camera unknowns. High leverage: the pose follows this match whatever the others say.
-        cook: ``(*B, N)`` Cook's distance, `change` in units of the pose's uncertainty, squared and per unknown; above
-            about ``4 / N`` deserves a look.
+        change: ``(*B, N, 5)`` how the pose would move if the match were dropped, radians, (rotation
+            vector, t's tangent).
+        leverage: ``(*B, N)`` share of its own residual that a match decides, in [0, 1]; they sum to
+            the number of camera unknowns. High leverage: the pose follows this match whatever the
+            others say.
+        cook: ``(*B, N)`` Cook's distance, `change` in units of the pose's uncertainty, squared and
+            per unknown; above about ``4 / N`` deserves a look.
     """
 
     change: Tensor
@@ -54,8 +59,8 @@ class Influence:
 def influence(bundle: TwoViewBundle) -> Influence:
     """The influence of each match on the pose, to first order and without refitting.
 
-    Once its point is eliminated a match is one equation for the camera, so that the exact formulas of linear regression
-    for leaving out one row apply to the linearised problem.
+    Once its point is eliminated a match is one equation for the camera, so that the exact formulas
+    of linear regression for leaving out one row apply to the linearised problem.
 
     Source: Cook, Detection of influential observations in linear regression, Technometrics 1977.
     """
@@ -63,12 +68,16 @@ def influence(bundle: TwoViewBundle) -> Influence:
     system = linearise(state, problem)
     camera, _, r = _rows(weigh(jacobian(state, problem), problem))
     Z = system.Z[..., :-1, :, :]
-    own = torch.einsum("...rjn,...rkn->...njk", camera, camera) - torch.einsum("...jrn,...krn->...njk", Z, Z)
+    own = torch.einsum("...rjn,...rkn->...njk", camera, camera) - torch.einsum(
+        "...jrn,...krn->...njk", Z, Z
+    )
     leverage = torch.linalg.solve(system.S[..., None, :, :], own).diagonal(dim1=-2, dim2=-1).sum(-1)
     # The point absorbs the rest of the residual: at the minimum J_y^T r = 0.
     pull = torch.einsum("...rjn,...rn->...jn", camera, r)
     kept = 1 - leverage
-    change = torch.linalg.solve(system.S, pull).mT / torch.where(kept > 1e-9, kept, torch.inf)[..., None]
+    change = (
+        torch.linalg.solve(system.S, pull).mT / torch.where(kept > 1e-9, kept, torch.inf)[..., None]
+    )
     spread = torch.einsum("...nj,...jk,...nk->...n", change, system.S, change)
     variance = (r * r).sum((-1, -2)) / ((bundle.weights > 0).sum(-1) - problem.size).clamp_min(1)
     cook = spread / (problem.size * variance[..., None].clamp_min(torch.finfo(r.dtype).tiny))
@@ -76,14 +85,20 @@ def influence(bundle: TwoViewBundle) -> Influence:
 
 
 def _rows(J: Jacobian) -> tuple[Tensor, Tensor, Tensor]:
-    """The Jacobian as tensors: camera ``(*B, 4, m, N)``, point ``(*B, 4, 3, N)``, residual ``(*B, 4, N)``."""
+    """The Jacobian as tensors: camera ``(*B, 4, m, N)``, point ``(*B, 4, 3, N)``, residual
+    ``(*B, 4, N)``."""
     zero = torch.zeros_like(J.residual1[0])
     none = (zero, zero)
 
     def rows(columns1: tuple, columns2: tuple) -> Tensor:
-        return torch.stack([
-            torch.stack([(c or none)[i] + zero for c in columns], -2) for columns in (columns1, columns2) for i in range(2)
-        ], -3)  # fmt: skip
+        return torch.stack(
+            [
+                torch.stack([(c or none)[i] + zero for c in columns], -2)
+                for columns in (columns1, columns2)
+                for i in range(2)
+            ],
+            -3,
+        )
 
     return (
         rows(J.camera1, J.camera2),

@@ -35,28 +35,35 @@ class Similarity(NamedTuple):
 
 
 def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
-    """The similarity that moves `x` nearest to `y`, in the sum of squared distances (Umeyama 1991, equations 40 to 42).
+    """The similarity that moves `x` nearest to `y`, in the sum of squared distances (Umeyama 1991,
+    equations 40 to 42).
 
     Args:
         x, y: (*B, N, 3) corresponding points.
 
     Raises:
         InputError: the shapes or types do not fit, or values are not finite.
-        DegenerateGeometryError: fewer than three pairs, or all points of `x` or of `y` on a line: the rotation about it is
-            open.
+        DegenerateGeometryError: fewer than three pairs, or all points of `x` or of `y` on a line:
+            the rotation about it is open.
     """
     check_kind(x=x, y=y)
     if x.shape != y.shape or x.ndim < 2 or x.shape[-1] != 3:
-        raise InputError(f"x and y must both have shape (*B, N, 3), not {tuple(x.shape)} and {tuple(y.shape)}")
+        raise InputError(
+            f"x and y must both have shape (*B, N, 3), not {tuple(x.shape)} and {tuple(y.shape)}"
+        )
     if x.shape[-2] < 3:
-        raise DegenerateGeometryError("a similarity needs three pairs of points", pairs=x.shape[-2], needed=3)
+        raise DegenerateGeometryError(
+            "a similarity needs three pairs of points", pairs=x.shape[-2], needed=3
+        )
     check_values(x=x, y=y)
     mean_x, mean_y = x.mean(-2, keepdim=True), y.mean(-2, keepdim=True)
     cx, cy = x - mean_x, y - mean_y
     U, D, Vh = torch.linalg.svd(cy.mT @ cx)
     spread = torch.linalg.svdvals(torch.stack([cx, cy]))
     if bool((spread[..., 1] <= 1e-9 * spread[..., 0]).any()):
-        raise DegenerateGeometryError("the points lie on a line, which leaves the rotation about it open")
+        raise DegenerateGeometryError(
+            "the points lie on a line, which leaves the rotation about it open"
+        )
     sign = torch.ones_like(D)
     sign[..., 2] = torch.linalg.det(U @ Vh).sign()  # a rotation, not a reflection
     R = U @ (sign[..., None] * Vh)

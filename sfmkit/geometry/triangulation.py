@@ -10,12 +10,14 @@ midpoint   squared distances in space from X to the two rays                    
 dlt        algebraic: the norm of ``A X`` over unit homogeneous X, A the four image equations              a null vector
 ========== =============================================================================================== ===============
 
-For points of the same accuracy in both images `optimal` is the maximum-likelihood point when the two cameras share one
-focal length; the others differ from it in second order of the noise, visibly so at small parallax.
+For points of the same accuracy in both images `optimal` is the maximum-likelihood point when the
+two cameras share one focal length; the others differ from it in second order of the noise, visibly
+so at small parallax.
 
-A point at infinity is a regular case: ``homogeneous=True`` returns ``(X, Y, Z, W)`` of unit length whose first three
-components point along the ray of image 1 and whose W is negative for a point behind camera 1; otherwise a point with
-W = 0 comes out as three infinities (never NaN). Float32 input is worked in float64 and rounded once at the end.
+A point at infinity is a regular case: ``homogeneous=True`` returns ``(X, Y, Z, W)`` of unit length
+whose first three components point along the ray of image 1 and whose W is negative for a point
+behind camera 1; otherwise a point with W = 0 comes out as three infinities (never NaN). Float32
+input is worked in float64 and rounded once at the end.
 """
 
 from __future__ import annotations
@@ -35,13 +37,19 @@ Method = Literal["optimal", "midpoint", "dlt"]
 
 
 def triangulate(
-    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, method: Method = "optimal", homogeneous: bool = False
+    xn1: Tensor,
+    xn2: Tensor,
+    R: Tensor,
+    t: Tensor,
+    method: Method = "optimal",
+    homogeneous: bool = False,
 ) -> Tensor:
     """Triangulate with the method named; see the module for what each minimises.
 
     Args:
         xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
-        R, t: ``(*B, 3, 3)`` and ``(*B, 3)``, ``X2 = R X1 + t``; the unit of t is the unit of the points.
+        R, t: ``(*B, 3, 3)`` and ``(*B, 3)``, ``X2 = R X1 + t``; the unit of t is the unit of the
+            points.
         method: ``optimal``, ``midpoint`` or ``dlt``.
         homogeneous: return unit ``(*B, N, 4)`` instead of ``(*B, N, 3)``.
 
@@ -53,11 +61,14 @@ def triangulate(
     return _apply(_METHODS[method], xn1, xn2, R, t, homogeneous)
 
 
-def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+def triangulate_optimal(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False
+) -> Tensor:
     """The point with the least squared reprojection error in the normalised planes.
 
-    Moves both image points the least distance onto a common epipolar plane (two iterations, after which the distance to
-    the true minimum is far below rounding in the images), then intersects the rays, which now meet.
+    Moves both image points the least distance onto a common epipolar plane (two iterations, after
+    which the distance to the true minimum is far below rounding in the images), then intersects the
+    rays, which now meet.
 
     Args and errors as in :func:`triangulate`.
 
@@ -66,40 +77,48 @@ def triangulate_optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogene
     return _apply(_optimal, xn1, xn2, R, t, homogeneous)
 
 
-def triangulate_midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+def triangulate_midpoint(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False
+) -> Tensor:
     """The midpoint of the shortest segment between the two rays.
 
     Args and errors as in :func:`triangulate`.
 
-    Source: Hartley and Sturm, Triangulation, CVIU 1997, section 5.3; depths as ratios of triple products.
+    Source: Hartley and Sturm, Triangulation, CVIU 1997, section 5.3; depths as ratios of triple
+    products.
     """
     return _apply(_midpoint, xn1, xn2, R, t, homogeneous)
 
 
-def triangulate_dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False) -> Tensor:
+def triangulate_dlt(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool = False
+) -> Tensor:
     """The unit X that minimises ``|A X|`` for the four linear image equations A.
 
-    The singular vector of the least singular value, without an SVD: each triple of the four planes ``A X = 0`` meets in
-    one point (a row of the adjugate of A, closed form), the four points agree but for the noise, and the dominant
-    direction of their scatter matrix is the answer. Repeated squaring of that 4 x 4 matrix leaves only it, at the
-    precision of the data and with finite derivatives at exact matches, where those of an SVD divide by zero.
+    The singular vector of the least singular value, without an SVD: each triple of the four planes
+    ``A X = 0`` meets in one point (a row of the adjugate of A, closed form), the four points agree
+    but for the noise, and the dominant direction of their scatter matrix is the answer. Repeated
+    squaring of that 4 x 4 matrix leaves only it, at the precision of the data and with finite
+    derivatives at exact matches, where those of an SVD divide by zero.
 
     Args and errors as in :func:`triangulate`.
 
-    Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 12.2, equation 12.2 (homogeneous method).
+    Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 12.2, equation 12.2
+    (homogeneous method).
     """
     return _apply(_dlt, xn1, xn2, R, t, homogeneous)
 
 
 def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
-    """The angle between the two rays of each match, radians, ``(*B, N)``; accurate down to the rounding of the input.
+    """The angle between the two rays of each match, radians, ``(*B, N)``; accurate down to the
+    rounding of the input.
 
     Args:
         xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
         R: ``(*B, 3, 3)`` rotation from camera 1 to camera 2.
 
-    The arc tangent of |cross product| over dot product: an arc cosine loses half of the digits below 0.01 degrees.
-    The derivative at parallel rays, where the angle has a kink, is zero.
+    The arc tangent of |cross product| over dot product: an arc cosine loses half of the digits
+    below 0.01 degrees. The derivative at parallel rays, where the angle has a kink, is zero.
     """
     check_points(xn1=xn1, xn2=xn2)
     check_matrices(xn1, R=R)
@@ -117,11 +136,13 @@ def parallax(xn1: Tensor, xn2: Tensor, R: Tensor) -> Tensor:
 def corrected_matches(
     xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """The nearest pair of normalised points that meets the epipolar constraint of (R, t), as components ``(*B, N)``."""
+    """The nearest pair of normalised points that meets the epipolar constraint of (R, t), as
+    components ``(*B, N)``."""
     E = torch.linalg.cross(t[..., :, None].expand_as(R), R, dim=-2)
     e = [[E[..., i, j, None] for j in range(3)] for i in range(3)]
     (x1, y1), (x2, y2) = xn1.unbind(-1), xn2.unbind(-1)
-    # Epipolar lines without their constant; image 1's ("1") from the point of image 2 and the reverse.
+    # Epipolar lines without their constant; image 1's ("1") from the point of image 2 and the
+    # reverse.
     a1, b1 = e[0][0] * x2 + e[1][0] * y2 + e[2][0], e[0][1] * x2 + e[1][1] * y2 + e[2][1]
     a2, b2 = e[0][0] * x1 + e[0][1] * y1 + e[0][2], e[1][0] * x1 + e[1][1] * y1 + e[1][2]
     a = a2 * (e[0][0] * a1 + e[0][1] * b1) + b2 * (e[1][0] * a1 + e[1][1] * b1)
@@ -140,7 +161,12 @@ _TINY = 1e-300
 
 
 def _apply(
-    method: Callable[..., list[Tensor]], xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor, homogeneous: bool
+    method: Callable[..., list[Tensor]],
+    xn1: Tensor,
+    xn2: Tensor,
+    R: Tensor,
+    t: Tensor,
+    homogeneous: bool,
 ) -> Tensor:
     """Check, work in float64 and in chunks that fit the processor's cache, and round once."""
     check_points(xn1=xn1, xn2=xn2)
@@ -159,8 +185,8 @@ def _optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
     x1, x2 = corrected_matches(xn1, xn2, R, t)
     p, q = rotated_ray(R, *x1), image_ray(*x2)
     c = components(t)
-    # The normal of the epipolar plane, from the ray further from the baseline; with it every depth is a ratio of
-    # volumes, linear in each ray, and stays regular where the rays are parallel.
+    # The normal of the epipolar plane, from the ray further from the baseline; with it every depth
+    # is a ratio of volumes, linear in each ray, and stays regular where the rays are parallel.
     pt, qt = cross(p, c), cross(q, c)
     further = dot(pt, pt) * dot(q, q) > dot(qt, qt) * dot(p, p)
     n = choose(further, pt, qt)
@@ -179,13 +205,18 @@ def _midpoint(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
 def _dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
     (x, y), (u, v) = xn1.unbind(-1), xn2.unbind(-1)
     # Planes of image 2 in camera 1; those of image 1 are (1, 0, -x, 0) and (0, 1, -y, 0).
-    P = [[M[..., i, j, None] for j in range(4)] for M in (torch.cat((R, t[..., None]), -1),) for i in range(3)]
+    P = [
+        [M[..., i, j, None] for j in range(4)]
+        for M in (torch.cat((R, t[..., None]), -1),)
+        for i in range(3)
+    ]
     c = [P[0][j] - u * P[2][j] for j in range(4)]
     d = [P[1][j] - v * P[2][j] for j in range(4)]
     # Where both planes of image 1 meet one of image 2: on the ray of image 1.
     meet_c = _on_ray(x, y, c)
     meet_d = _on_ray(x, y, d)
-    # Where both planes of image 2 meet one of image 1: 3 x 3 minors of the two with (1, 0, -x, 0) or (0, 1, -y, 0).
+    # Where both planes of image 2 meet one of image 1: 3 x 3 minors of the two with (1, 0, -x, 0)
+    # or (0, 1, -y, 0).
     m = {(i, j): c[i] * d[j] - c[j] * d[i] for i in range(4) for j in range(i + 1, 4)}
     meet_x = [x * m[1, 3], -(x * m[0, 3] + m[2, 3]), m[1, 3], x * m[0, 1] - m[1, 2]]
     meet_y = [y * m[1, 3] + m[2, 3], -y * m[0, 3], -m[0, 3], m[0, 2] + y * m[0, 1]]
@@ -201,9 +232,13 @@ def _dlt(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
     return column
 
 
-def _middle(x1: tuple[Tensor, ...], q: Vector, R: Tensor, c: Vector, s1: Tensor, s2: Tensor, w: Tensor) -> list[Tensor]:
+def _middle(
+    x1: tuple[Tensor, ...], q: Vector, R: Tensor, c: Vector, s1: Tensor, s2: Tensor, w: Tensor
+) -> list[Tensor]:
     """The middle of ``s1/w (x1, 1)`` and ``R^T (s2/w q - t)``, homogeneous."""
-    back = rotate(R, (s2 * q[0] - w * c[0], s2 * q[1] - w * c[1], s2 * q[2] - w * c[2]), inverse=True)
+    back = rotate(
+        R, (s2 * q[0] - w * c[0], s2 * q[1] - w * c[1], s2 * q[2] - w * c[2]), inverse=True
+    )
     return [s1 * x1[0] + back[0], s1 * x1[1] + back[1], s1 + back[2], 2 * w]
 
 
@@ -217,19 +252,24 @@ def _finish(X: list[Tensor], x: Tensor, y: Tensor, homogeneous: bool) -> Tensor:
     H = torch.stack(X, -1)
     forward = X[0] * x + X[1] * y + X[2] >= 0
     H = torch.where(forward[..., None], H, -H)
-    # Both rays on the baseline, or exactly parallel: nothing fixes the depth; the point at infinity on ray 1.
+    # Both rays on the baseline, or exactly parallel: nothing fixes the depth; the point at infinity
+    # on ray 1.
     ray = torch.stack((x, y, torch.ones_like(x), torch.zeros_like(x)), -1)
     H = torch.where((H == 0).all(-1, keepdim=True), ray, H)
     return H / H.norm(dim=-1, keepdim=True)
 
 
 def _gram(rows: list[list[Tensor]]) -> list[list[Tensor]]:
-    """``A^T A`` of a 4 x 4 matrix given as rows of components; the square of A when A is symmetric."""
+    """``A^T A`` of a 4 x 4 matrix given as rows of components; the square of A when A is
+    symmetric."""
     G: list[list[Tensor]] = [[rows[0][0]] * 4 for _ in range(4)]
     for i in range(4):
         for j in range(i, 4):
             G[i][j] = G[j][i] = (
-                rows[0][i] * rows[0][j] + rows[1][i] * rows[1][j] + rows[2][i] * rows[2][j] + rows[3][i] * rows[3][j]
+                rows[0][i] * rows[0][j]
+                + rows[1][i] * rows[1][j]
+                + rows[2][i] * rows[2][j]
+                + rows[3][i] * rows[3][j]
             )
     return G
 

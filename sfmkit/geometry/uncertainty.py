@@ -1,4 +1,5 @@
-"""How sure a pose and its points are: covariances from the Jacobians at the minimum, the noise from the residuals."""
+"""How sure a pose and its points are: covariances from the Jacobians at the minimum, the noise from
+the residuals."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ class Uncertainty:
     """Covariances to first order in the noise.
 
     Attributes:
-        pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2 (truth =
-            ``exp(omega) R``), and translation direction, radians, along the two columns of ``tangent_basis(t)``. Free
-            focal lengths are marginalised.
-        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of the pose included;
-            infinite for points at infinity.
+        pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2
+            (truth = ``exp(omega) R``), and translation direction, radians, along the two columns of
+            ``tangent_basis(t)``. Free focal lengths are marginalised.
+        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of
+            the pose included; infinite for points at infinity.
         sigma_px: ``(*B,)`` standard deviation of one pixel coordinate of unit weight, estimated.
         degrees_of_freedom: ``(*B,)`` matches in excess of the unknowns: what `sigma_px` rests on.
     """
@@ -38,25 +39,31 @@ class Uncertainty:
 
 
 def covariance(bundle: TwoViewBundle) -> Uncertainty:
-    """The covariance of the pose and of every point at the minimum that :func:`bundle_adjust` found.
+    """The covariance of the pose and of every point at the minimum that :func:`bundle_adjust`
+    found.
 
-    A match has four coordinates and its point three unknowns, so each match leaves one residual, and N matches leave
-    ``N - 5`` degrees of freedom (fewer with free focal lengths) to estimate the noise from. Calibrated for Gaussian noise
-    of one size (times the weights) as long as the noise is small against what the geometry can bear: a point whose depth
-    is known to worse than a fifth has an error that no ellipsoid describes. If matches were dropped because of their
-    residuals, the noise is underestimated. With a robust loss the noise follows Huber's correction for M-estimators.
+    A match has four coordinates and its point three unknowns, so each match leaves one residual,
+    and N matches leave ``N - 5`` degrees of freedom (fewer with free focal lengths) to estimate the
+    noise from. Calibrated for Gaussian noise of one size (times the weights) as long as the noise
+    is small against what the geometry can bear: a point whose depth is known to worse than a fifth
+    has an error that no ellipsoid describes. If matches were dropped because of their residuals,
+    the noise is underestimated. With a robust loss the noise follows Huber's correction for
+    M-estimators.
 
     Raises:
-        DegenerateGeometryError: with no more matches than unknowns, or where they leave the pose undetermined.
+        DegenerateGeometryError: with no more matches than unknowns, or where they leave the pose
+            undetermined.
 
-    Source: Hartley and Zisserman, 2nd ed., section 5.2 and appendix A6.3; Huber, Robust statistics, 1981, section 7.6.
+    Source: Hartley and Zisserman, 2nd ed., section 5.2 and appendix A6.3; Huber, Robust statistics,
+    1981, section 7.6.
     """
     state = bundle.state()
     problem = bundle.problem()
     variance, dof = _noise(state, problem, bundle.weights > 0)
     system = linearise(state, replace(problem, loss="squared"))
     root, failed = torch.linalg.cholesky_ex(system.S)
-    # A pose direction is undetermined when next to nothing of its information survives the elimination of the points.
+    # A pose direction is undetermined when next to nothing of its information survives the
+    # elimination of the points.
     information = root.diagonal(dim1=-2, dim2=-1) ** 2 / system.H.diagonal(dim1=-2, dim2=-1)
     if bool((failed > 0).any()) or bool((information < _UNDETERMINED).any()):
         raise DegenerateGeometryError(
@@ -78,17 +85,21 @@ _UNDETERMINED = 1e-13
 
 
 def sigma_degrees(pose_covariance: Tensor) -> Tensor:
-    """Root-mean-square angular error of rotation and of translation direction, ``(*B, 2)`` degrees, from ``(*B, 5, 5)``.
+    """Root-mean-square angular error of rotation and of translation direction, ``(*B, 2)`` degrees,
+    from ``(*B, 5, 5)``.
 
     The square root of the trace of each block: directly comparable with :func:`rotation_error` and
     :func:`translation_error`.
     """
     variances = pose_covariance.diagonal(dim1=-2, dim2=-1)
-    return torch.rad2deg(torch.stack((variances[..., :3].sum(-1), variances[..., 3:].sum(-1)), -1).sqrt())
+    return torch.rad2deg(
+        torch.stack((variances[..., :3].sum(-1), variances[..., 3:].sum(-1)), -1).sqrt()
+    )
 
 
 def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor]:
-    """The variance of a coordinate of unit weight, and the degrees of freedom it was estimated with."""
+    """The variance of a coordinate of unit weight, and the degrees of freedom it was estimated
+    with."""
     r1, r2 = residuals(state, problem)
     s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
     matches = used.sum(-1)
@@ -115,11 +126,13 @@ def _point_covariances(state: State, system: Linearised, root: Tensor) -> Tensor
 _CHUNK = 65_536  # keeps the intermediate tensors small
 
 
-def _point_covariance(unknowns: tuple[Tensor, ...], L: tuple[Tensor, ...], Z: Tensor, root: Tensor) -> Tensor:
+def _point_covariance(
+    unknowns: tuple[Tensor, ...], L: tuple[Tensor, ...], Z: Tensor, root: Tensor
+) -> Tensor:
     """The same for some of the points.
 
-    ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: what the two rays leave open, and what an
-    uncertain pose adds.
+    ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: what the two rays leave
+    open, and what an uncertain pose adds.
     """
     u, v, w = unknowns
     l00, l10, l11, l20, l21, l22 = L

@@ -1,12 +1,21 @@
-"""One colour for an operator, the same in plots, recordings and reports, told apart with any kind of colour vision."""
+"""One colour for an operator, the same in plots, recordings and reports, told apart with any kind
+of colour vision."""
 
 from __future__ import annotations
 
 from zlib import crc32
 
-# Okabe & Ito's palette (2008), made to be told apart with any kind of colour vision, its black and yellow left out:
-# black reads as ink and yellow is lost on white paper. Then Tol's "muted" colours (2021) for the operators beyond.
-_ORANGE, _SKY, _GREEN, _BLUE, _RED, _PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+# Okabe & Ito's palette (2008), made to be told apart with any kind of colour vision, its black and
+# yellow left out: black reads as ink and yellow is lost on white paper. Then Tol's "muted" colours
+# (2021) for the operators beyond.
+_ORANGE, _SKY, _GREEN, _BLUE, _RED, _PURPLE = (
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
 _NAMED = {
     "surf": _RED,
     "orb": _BLUE,
@@ -25,7 +34,8 @@ _REST = ("#117733", "#88CCEE", "#DDCC77", "#CC6677", "#661100", "#6699CC")
 
 
 def operator_colour(name: str) -> str:
-    """``#rrggbb`` of an operator; one that has no colour of its own gets one by its name, always the same."""
+    """``#rrggbb`` of an operator; one that has no colour of its own gets one by its name, always
+    the same."""
     return _NAMED.get(name) or _REST[crc32(name.encode()) % len(_REST)]
 
 

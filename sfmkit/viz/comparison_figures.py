@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..compare import Comparison
+from ..clouds.comparison import Comparison
 from .figures import MAX_DOTS, unit_of
 
 FIRST, SECOND = "#0072B2", "#E69F00"
@@ -28,7 +28,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
         for xyz, colour, name, _ in clouds:
             some = xyz[:: -(-len(xyz) // (MAX_DOTS // 2))]
             size = float(np.clip(20_000 / len(some), 0.3, 4))
-            ax.scatter(some[:, 0], some[:, j], s=size, c=colour, alpha=0.5, linewidths=0, label=name)
+            ax.scatter(
+                some[:, 0], some[:, j], s=size, c=colour, alpha=0.5, linewidths=0, label=name
+            )
         ax.set(xlim=(low[0] - pad[0], high[0] + pad[0]), ylim=(low[j] - pad[j], high[j] + pad[j]))
         ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{unit}", title=title)
         if j == 1 and ours:
@@ -36,10 +38,15 @@ def comparison_figure(comparison: Comparison) -> Figure:
     for _, colour, name, distance in clouds:
         share = 100 * np.linspace(0, 1, len(distance))
         axes[2].plot(
-            np.sort(np.maximum(distance, 1e-6 * comparison.extent)), share, color=colour, label=f"{name} cloud"
+            np.sort(np.maximum(distance, 1e-6 * comparison.extent)),
+            share,
+            color=colour,
+            label=f"{name} cloud",
         )
     axes[2].set(
-        xscale="log", xlabel=f"distance to the nearest point of the other cloud{unit}", ylabel="share of the points (%)"
+        xscale="log",
+        xlabel=f"distance to the nearest point of the other cloud{unit}",
+        ylabel="share of the points (%)",
     )
     axes[2].set_title("how near they are")
     axes[2].grid(alpha=0.3)

@@ -1,4 +1,5 @@
-"""Figures of a cloud's density: the coloured cloud, and the histogram with its Gaussian (the paper's Figures 13 to 17)."""
+"""Figures of a cloud's density: the coloured cloud, and the histogram with its Gaussian (the
+paper's Figures 13 to 17)."""
 
 from __future__ import annotations
 
@@ -7,12 +8,14 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..density import Density, Histogram, default_classes, histogram
+from ..clouds.density import Density, Histogram, default_classes, histogram
 from ..types import PointCloud
 from .figures import cloud_figure, unit_of
 
 COLOURS = "cividis"  # reads the same with any kind of colour vision
-_BRIGHTEST = 98  # percentile of the counts that gets the last colour; the few beyond would leave the rest in the dark
+# percentile of the counts that gets the last colour; the few beyond would leave the rest in the
+# dark
+_BRIGHTEST = 98
 
 
 def colours(neighbours: np.ndarray) -> np.ndarray:
@@ -20,7 +23,9 @@ def colours(neighbours: np.ndarray) -> np.ndarray:
     top = np.percentile(neighbours, _BRIGHTEST)
     low = neighbours.min()
     table = colormaps[COLOURS](np.arange(256), bytes=True)[:, :3]
-    return table[np.rint(255 * np.clip((neighbours - low) / max(top - low, 1), 0, 1)).astype(np.uint8)]
+    return table[
+        np.rint(255 * np.clip((neighbours - low) / max(top - low, 1), 0, 1)).astype(np.uint8)
+    ]
 
 
 def density_figure(cloud: PointCloud, density: Density) -> Figure:
@@ -37,7 +42,11 @@ def histogram_figure(density: Density, own: Histogram) -> Figure:
     theirs = histogram(density.neighbours, default_classes(len(density.neighbours)))
     width = own.edges[1] - own.edges[0]
     _bars(left, own, f"{own.classes} classes of {width:.0f}")
-    _bars(right, theirs, f"{theirs.classes} classes: root of the number of points, as CloudCompare does")
+    _bars(
+        right,
+        theirs,
+        f"{theirs.classes} classes: root of the number of points, as CloudCompare does",
+    )
     figure.suptitle(
         f"{len(density.neighbours):,} points, radius {density.radius:.3g}: "
         f"mean {own.mean:.2f}, standard deviation {own.std:.2f} neighbours",
@@ -48,7 +57,9 @@ def histogram_figure(density: Density, own: Histogram) -> Figure:
 
 def _bars(ax: Axes, h: Histogram, title: str) -> None:
     middle = (h.edges[1:] + h.edges[:-1]) / 2
-    ax.bar(middle, h.counts, width=np.diff(h.edges), color="#56B4E9", edgecolor="none", label="points")
+    ax.bar(
+        middle, h.counts, width=np.diff(h.edges), color="#56B4E9", edgecolor="none", label="points"
+    )
     if h.std > 0:
         x = np.linspace(h.edges[0], h.edges[-1], 400)
         ax.plot(x, h.gaussian(x), color="#D55E00", label="Gaussian of this mean and deviation")

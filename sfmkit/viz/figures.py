@@ -1,7 +1,8 @@
-"""Figures of photographs, features, matches and clouds, with labelled axes, in the operators' colours.
+"""Figures of photographs, features, matches and clouds, with labelled axes, in the operators'
+colours.
 
-Each function returns a matplotlib Figure, which a notebook shows and :func:`save` writes: no display is needed and no global
-state is touched.
+Each function returns a matplotlib Figure, which a notebook shows and :func:`save` writes: no
+display is needed and no global state is touched.
 """
 
 from __future__ import annotations
@@ -21,17 +22,19 @@ from ..types import Features, PointCloud
 from .colours import operator_colour
 
 if TYPE_CHECKING:
-    from ..pipeline import Reconstruction
+    from ..pipeline.reconstruction import Reconstruction
 
 GREY = "#808080"
 MAX_DOTS = 200_000  # points of a cloud that a picture can show
 
 
-def photographs(*images: Any, titles: Sequence[str] = (), height: float = 4.0) -> tuple[Figure, list[Axes]]:
+def photographs(
+    *images: Any, titles: Sequence[str] = (), height: float = 4.0
+) -> tuple[Figure, list[Axes]]:
     """Photographs side by side, axes in pixels.
 
     Args:
-        images: :class:`sfmkit.images.Image`, or (H, W) or (H, W, 3) arrays.
+        images: :class:`sfmkit.io.images.Image`, or (H, W) or (H, W, 3) arrays.
     """
     arrays = [getattr(image, "rgb", image) for image in images]
     width = sum(a.shape[1] / a.shape[0] for a in arrays) * height
@@ -46,7 +49,8 @@ def photographs(*images: Any, titles: Sequence[str] = (), height: float = 4.0) -
 
 
 def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
-    """The strongest keypoints on the photograph: a circle is the described neighbourhood, a tick its orientation.
+    """The strongest keypoints on the photograph: a circle is the described neighbourhood, a tick
+    its orientation.
 
     Args:
         features: one or several operators' features of this image.
@@ -58,20 +62,43 @@ def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
         some = f.take(np.argsort(-f.scores, kind="stable")[:most])
         colour = operator_colour(f.operator)
         d = some.scales
-        ax.add_collection(EllipseCollection(d, d, np.zeros(len(d)), units="xy", offsets=some.keypoints,
-                                            offset_transform=ax.transData, facecolors="none", edgecolors=colour,
-                                            linewidths=0.7))  # fmt: skip
-        tip = some.keypoints + d[:, None] / 2 * np.column_stack([np.cos(some.angles), np.sin(some.angles)])
+        ax.add_collection(
+            EllipseCollection(
+                d,
+                d,
+                np.zeros(len(d)),
+                units="xy",
+                offsets=some.keypoints,
+                offset_transform=ax.transData,
+                facecolors="none",
+                edgecolors=colour,
+                linewidths=0.7,
+            )
+        )
+        tip = some.keypoints + d[:, None] / 2 * np.column_stack(
+            [np.cos(some.angles), np.sin(some.angles)]
+        )
         if some.angles.any():
-            ax.add_collection(LineCollection(np.stack([some.keypoints, tip], 1), colors=colour, linewidths=0.7))
+            ax.add_collection(
+                LineCollection(np.stack([some.keypoints, tip], 1), colors=colour, linewidths=0.7)
+            )
         label = f"{f.operator}: {len(some):,} strongest of {len(f):,}"
         handles.append(Line2D([], [], marker="o", ls="", mfc="none", color=colour, label=label))
-    figure.legend(handles=handles, loc="outside upper center", ncols=max(1, len(handles)), frameon=False)
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=max(1, len(handles)), frameon=False
+    )
     return figure
 
 
 def match_figure(
-    image1: Any, image2: Any, x1: Any, x2: Any, right: Any | None = None, *, operator: str = "multi", most: int = 120
+    image1: Any,
+    image2: Any,
+    x1: Any,
+    x2: Any,
+    right: Any | None = None,
+    *,
+    operator: str = "multi",
+    most: int = 120,
 ) -> Figure:
     """Matches as lines between two photographs.
 
@@ -85,7 +112,10 @@ def match_figure(
     a, b = np.asarray(x1), np.asarray(x2) + [shift, 0]
     good = np.ones(len(a), dtype=bool) if right is None else np.asarray(right)
     rows = np.random.default_rng(0).permutation(len(a))[:most]
-    for some, colour, style in ((rows[~good[rows]], GREY, "--"), (rows[good[rows]], operator_colour(operator), "-")):
+    for some, colour, style in (
+        (rows[~good[rows]], GREY, "--"),
+        (rows[good[rows]], operator_colour(operator), "-"),
+    ):
         _lines(ax, a[some], b[some], colors=colour, linewidths=0.8, linestyles=style)
     share = "" if right is None or not len(a) else f", {good.mean():.0%} of all right"
     ax.set_title(f"{len(rows):,} of {len(a):,} matches{share}")
@@ -93,7 +123,8 @@ def match_figure(
 
 
 def match_picture(result: Reconstruction, most: int = 400) -> Figure:
-    """The matches of a reconstruction: an even sample of each operator's inliers in its colour, and of the outliers in grey.
+    """The matches of a reconstruction: an even sample of each operator's inliers in its colour, and
+    of the outliers in grey.
 
     Args:
         most: lines in all; more would hide one another.
@@ -112,14 +143,21 @@ def match_picture(result: Reconstruction, most: int = 400) -> Figure:
         _lines(ax, a[some], b[some], colors=colour, linewidths=0.6, alpha=0.8)
         x, y = np.concatenate([a[some], b[some]]).T
         ax.scatter(x, y, s=3, color=colour, linewidths=0)
-        handles.append(Line2D([], [], color=colour, label=f"{name}: {len(some):,} of {len(mine):,} inliers"))
-    handles.append(Line2D([], [], color=GREY, lw=0.5, label=f"{len(out):,} of {int((~inliers).sum()):,} outliers"))
+        handles.append(
+            Line2D([], [], color=colour, label=f"{name}: {len(some):,} of {len(mine):,} inliers")
+        )
+    handles.append(
+        Line2D(
+            [], [], color=GREY, lw=0.5, label=f"{len(out):,} of {int((~inliers).sum()):,} outliers"
+        )
+    )
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
     return figure
 
 
 def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
-    """A figure with two photographs, its axes in pixels of the first, and where on them the second begins."""
+    """A figure with two photographs, its axes in pixels of the first, and where on them the second
+    begins."""
     first, second = (getattr(image, "rgb", image) for image in (image1, image2))
     (h1, w1), (h2, w2) = first.shape[:2], second.shape[:2]
     shift = round(1.02 * w1)
@@ -129,8 +167,12 @@ def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
     for pixels, x0, w, h in ((first, 0, w1, h1), (second, shift, w2, h2)):
         extent = (x0 - 0.5, x0 + w - 0.5, h - 0.5, -0.5)
         ax.imshow(pixels[::thin, ::thin], cmap="gray", vmin=0, vmax=255, extent=extent)
-    ax.set(xlim=(-0.5, shift + w2 - 0.5), ylim=(max(h1, h2) - 0.5, -0.5), ylabel="y (pixels)",
-           xlabel=f"x (pixels; image 2 begins at {shift})")  # fmt: skip
+    ax.set(
+        xlim=(-0.5, shift + w2 - 0.5),
+        ylim=(max(h1, h2) - 0.5, -0.5),
+        ylabel="y (pixels)",
+        xlabel=f"x (pixels; image 2 begins at {shift})",
+    )
     return figure, ax, shift
 
 
@@ -163,16 +205,19 @@ def epipolar_figure(
 
 
 def unit_of(cloud: PointCloud) -> str:
-    """The unit of a cloud's lengths to write after a number: baselines in ours, in others what nobody tells us."""
+    """The unit of a cloud's lengths to write after a number: baselines in ours, in others what
+    nobody tells us."""
     return " baselines" if cloud.operators else ""
 
 
 def cloud_figure(
     cloud: PointCloud, *, colour: Any | None = None, label: str = "", cameras: Any | None = None
 ) -> Figure:
-    """The cloud from camera 1's side and from above; a foreign one, whose frame is not known, along z and along y.
+    """The cloud from camera 1's side and from above; a foreign one, whose frame is not known, along
+    z and along y.
 
-    Of a large cloud at most 200,000 points are drawn, and none beyond the inner 98 % in any direction.
+    Of a large cloud at most 200,000 points are drawn, and none beyond the inner 98 % in any
+    direction.
 
     Args:
         colour: (M,) numbers to colour the points by, None for the photograph's colours.
@@ -200,13 +245,22 @@ def cloud_picture(cloud: PointCloud) -> Figure:
     axes = figure.subplots(2, 2)
     operators = np.array([operator_colour(name) for name in cloud.operators])
     for row, shades, what in zip(
-        axes, (cloud.rgb.numpy()[near] / 255, operators[cloud.operator_id.numpy()[near]]), ("photograph", "operator")
+        axes,
+        (cloud.rgb.numpy()[near] / 255, operators[cloud.operator_id.numpy()[near]]),
+        ("photograph", "operator"),
     ):
         _two_sides(row, cloud, near, shades)
         for ax in row:
             ax.set_title(f"{ax.get_title()}, colour: {what}")
     handles = [
-        Line2D([], [], marker="o", ls="", color=colour, label=f"{name}: {int(cloud.found_by(name).sum()):,}")
+        Line2D(
+            [],
+            [],
+            marker="o",
+            ls="",
+            color=colour,
+            label=f"{name}: {int(cloud.found_by(name).sum()):,}",
+        )
         for name, colour in zip(cloud.operators, operators)
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
@@ -224,17 +278,28 @@ def _shown(cloud: PointCloud) -> np.ndarray:
 
 
 def _two_sides(
-    axes: Sequence[Axes], cloud: PointCloud, near: np.ndarray, shades: np.ndarray, cmap: str | None = None
+    axes: Sequence[Axes],
+    cloud: PointCloud,
+    near: np.ndarray,
+    shades: np.ndarray,
+    cmap: str | None = None,
 ) -> PathCollection:
     """Some points of a cloud from camera 1 and from above, on two axes."""
     X = cloud.xyz.numpy()[near]
     ours = bool(cloud.operators)
     unit = f" ({unit_of(cloud).strip()})" if ours else ""
     size = float(np.clip(40_000 / max(len(X), 1), 0.5, 4))
-    for ax, j, title in zip(axes, (1, 2), ("from camera 1", "from above") if ours else ("along z", "along y")):
+    for ax, j, title in zip(
+        axes, (1, 2), ("from camera 1", "from above") if ours else ("along z", "along y")
+    ):
         order = np.argsort(-X[:, 2] if j == 1 else -X[:, 1])  # the nearest last, on top
         dots = ax.scatter(
-            X[order, 0], X[order, j], c=shades[order], s=size, linewidths=0, cmap=cmap if shades.ndim == 1 else None
+            X[order, 0],
+            X[order, j],
+            c=shades[order],
+            s=size,
+            linewidths=0,
+            cmap=cmap if shades.ndim == 1 else None,
         )
         ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{unit}", title=title)
         if j == 1 and ours:

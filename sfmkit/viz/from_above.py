@@ -1,4 +1,5 @@
-"""The scene from above as a picture: the cloud, both cameras, and where a length in baselines lies on the picture."""
+"""The scene from above as a picture: the cloud, both cameras, and where a length in baselines lies
+on the picture."""
 
 from __future__ import annotations
 
@@ -14,11 +15,14 @@ DPI = 130
 MOST = 6000  # points drawn
 
 
-def scene_from_above(cloud: PointCloud, view: TwoView) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+def scene_from_above(
+    cloud: PointCloud, view: TwoView
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """The scene in the plane of camera 1's x and z axes, lengths in baselines.
 
     Returns:
-        (H, W, 3) uint8 picture, and a function from (N, 3) points in camera 1 to their (N, 2) pixels in it.
+        (H, W, 3) uint8 picture, and a function from (N, 3) points in camera 1 to their (N, 2)
+        pixels in it.
     """
     X = cloud.xyz.numpy()
     centre2 = np.zeros(3) if view.R is None or view.t is None else -(view.R.T @ view.t).numpy()
@@ -30,13 +34,28 @@ def scene_from_above(cloud: PointCloud, view: TwoView) -> tuple[np.ndarray, Call
     ax = figure.add_subplot()
     ax.scatter(X[near, 0], X[near, 2], c=cloud.rgb.numpy()[near] / 255, s=3, linewidths=0)
     outward = 1 if centre2[0] > 0 else -1  # the names stand on either side of the pair
-    for name, (x, _, z), side in (("camera 1", np.zeros(3), -outward), ("camera 2", centre2, outward)):
+    for name, (x, _, z), side in (
+        ("camera 1", np.zeros(3), -outward),
+        ("camera 2", centre2, outward),
+    ):
         ax.plot(x, z, "^", ms=8, color="black")
-        ax.annotate(name, (x, z), (8 * side, -4), textcoords="offset points", ha="left" if side > 0 else "right")
+        ax.annotate(
+            name,
+            (x, z),
+            (8 * side, -4),
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+        )
     left, right = min(low[0], centre2[0], 0), max(high[0], centre2[0], 0)
     margin = 0.08 * max(high[2], right - left)
-    ax.set(xlim=(left - margin, right + margin), ylim=(-2 * margin, high[2] + margin), aspect="equal",
-           xlabel="x (baselines)", ylabel="z (baselines)", title="from above")  # fmt: skip
+    ax.set(
+        xlim=(left - margin, right + margin),
+        ylim=(-2 * margin, high[2] + margin),
+        aspect="equal",
+        xlabel="x (baselines)",
+        ylabel="z (baselines)",
+        title="from above",
+    )
     canvas.draw()
     rgb = np.asarray(canvas.buffer_rgba())[..., :3].copy()
     to_display = ax.transData

@@ -39,7 +39,9 @@ def splat(
     middle = np.median(X, axis=0)
     yaw, pitch = np.deg2rad([yaw_deg, pitch_deg])
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    tilt = np.array([[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]])
+    tilt = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]]
+    )
     Y = (X - middle) @ (tilt @ turn).T + middle
     K = camera.scaled((w, h)).K
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -19,7 +19,9 @@ from sfmkit.errors import InputError, OutputError
 
 def entry(key: str = "ab" * 20, n: int = 50, fill: float = 1.5) -> Entry:
     return Entry(
-        key, {"seconds": 0.25, "H": [1.0, None]}, {"x": np.full((n, 2), fill), "empty": np.zeros((0, 4), np.uint8)}
+        key,
+        {"seconds": 0.25, "H": [1.0, None]},
+        {"x": np.full((n, 2), fill), "empty": np.zeros((0, 4), np.uint8)},
     )
 
 
@@ -46,7 +48,9 @@ def test_nothing_in_it_is_pickled(tmp_path):
     with pytest.raises(ValueError):
         list(pickletools.genops(cache.path("features", e.key).read_bytes()))
     objects = Entry("k", {}, {"x": np.array([{}], dtype=object)}).to_bytes()
-    with pytest.raises(DamagedEntry):  # the object array was pickled into the bytes; it must not be read back
+    with pytest.raises(
+        DamagedEntry
+    ):  # the object array was pickled into the bytes; it must not be read back
         Entry.from_bytes(objects, "k")
 
 

@@ -1,4 +1,5 @@
-"""A real Dask cluster: scheduler and workers as processes of their own, on loopback or on hosts of their own."""
+"""A real Dask cluster: scheduler and workers as processes of their own, on loopback or on hosts of
+their own."""
 
 from __future__ import annotations
 
@@ -37,33 +38,61 @@ def truth(tmp_path_factory) -> AblationTable:
 
 
 class Cluster:
-    """Processes of a cluster. `prefix(k)` is the command that runs something on host k; host 0 has the scheduler."""
+    """Processes of a cluster. `prefix(k)` is the command that runs something on host k; host 0 has
+    the scheduler."""
 
-    def __init__(self, folder: Path, host: Callable[[int], str], prefix: Callable[[int], list[str]]):
+    def __init__(
+        self, folder: Path, host: Callable[[int], str], prefix: Callable[[int], list[str]]
+    ):
         self.folder, self.host, self.prefix = folder, host, prefix
         self.processes: list[subprocess.Popen] = []
         self.workers: list[subprocess.Popen] = []
 
     def start(self, workers: int) -> None:
         file = self.folder / "scheduler.json"
-        self._run(0, "dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+        self._run(
+            0, "dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)
+        )
         end = time.monotonic() + 60
         while not (file.exists() and file.read_text().endswith("}")):
             assert time.monotonic() < end, "the scheduler did not start"
             time.sleep(0.1)
         self.address = json.loads(file.read_text())["address"]
         self.workers = [
-            self._run(k + 1, "dask_worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
-                      "--local-directory", str(self.folder / f"worker{k}"))
+            self._run(
+                k + 1,
+                "dask_worker",
+                self.address,
+                "--nthreads",
+                "1",
+                "--no-nanny",
+                "--no-dashboard",
+                "--local-directory",
+                str(self.folder / f"worker{k}"),
+            )
             for k in range(workers)
-        ]  # fmt: skip
+        ]
 
     def _run(self, k: int, module: str, *args: str) -> subprocess.Popen:
-        env = {**os.environ, "OMP_NUM_THREADS": "1", "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
+        env = {
+            **os.environ,
+            "OMP_NUM_THREADS": "1",
+            "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical",
+        }
         process = subprocess.Popen(
-            [*self.prefix(k), sys.executable, "-m", f"distributed.cli.{module}", *args, "--host", self.host(k)],
-            env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [
+                *self.prefix(k),
+                sys.executable,
+                "-m",
+                f"distributed.cli.{module}",
+                *args,
+                "--host",
+                self.host(k),
+            ],
+            env=env,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         self.processes.append(process)
         return process
 
@@ -98,23 +127,39 @@ def kills_after(worker: subprocess.Popen, outcomes: int) -> Callable[[Progress],
 def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed_in_mid_sweep(truth, tmp_path):
     with loopback(tmp_path) as cluster:
         table = ablate(
-            pairs(tmp_path / "images"), OPERATORS, seeds=SEEDS, out=tmp_path / "out", cache=tmp_path / "cache",
-            scheduler=cluster.address, progress=kills_after(cluster.workers[0], 15),
-        )  # fmt: skip
+            pairs(tmp_path / "images"),
+            OPERATORS,
+            seeds=SEEDS,
+            out=tmp_path / "out",
+            cache=tmp_path / "cache",
+            scheduler=cluster.address,
+            progress=kills_after(cluster.workers[0], 15),
+        )
         assert cluster.workers[0].poll() == -signal.SIGKILL
     assert table.results() == truth.results()
 
 
 @pytest.mark.slow
-def test_workers_that_share_no_files_get_images_as_bytes_and_lose_scattered_arrays_with_a_worker(truth, tmp_path):
+def test_workers_that_share_no_files_get_images_as_bytes_and_lose_scattered_arrays_with_a_worker(
+    truth, tmp_path
+):
     with loopback(tmp_path) as cluster:
         table = ablate(
-            pairs(tmp_path / "images"), OPERATORS, seeds=SEEDS, out=tmp_path / "out", cache=tmp_path / "cache",
-            scheduler=cluster.address, ship="bytes", progress=kills_after(cluster.workers[1], 18),
-        )  # fmt: skip
+            pairs(tmp_path / "images"),
+            OPERATORS,
+            seeds=SEEDS,
+            out=tmp_path / "out",
+            cache=tmp_path / "cache",
+            scheduler=cluster.address,
+            ship="bytes",
+            progress=kills_after(cluster.workers[1], 18),
+        )
         assert cluster.workers[1].poll() == -signal.SIGKILL
     assert table.results() == truth.results()
-    kinds = {file.relative_to(tmp_path / "cache").parts[0] for file in (tmp_path / "cache").rglob("*.npz")}
+    kinds = {
+        file.relative_to(tmp_path / "cache").parts[0]
+        for file in (tmp_path / "cache").rglob("*.npz")
+    }
     assert kinds == {"features", "matches", "estimates"}  # what was made came back
 
 
@@ -124,15 +169,21 @@ def test_an_unknown_scheduler_is_said_within_seconds(tmp_path):
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     began = time.monotonic()
     with pytest.raises(InputError, match="no Dask scheduler answers at"):
-        ablate(pairs(tmp_path / "images", 1, 0), ["orb"], cache=tmp_path / "cache", scheduler=address)
+        ablate(
+            pairs(tmp_path / "images", 1, 0), ["orb"], cache=tmp_path / "cache", scheduler=address
+        )
     assert time.monotonic() - began < 20
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1", "nonsense://x:1", "tcp://no.such.host.invalid:8786"])
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1", "nonsense://x:1", "tcp://no.such.host.invalid:8786"]
+)
 def test_addresses_that_are_none(tmp_path, address, monkeypatch):
     monkeypatch.setattr("sfmkit.ablation.cluster.CONNECT_S", 1.0)
     with pytest.raises(InputError, match="no Dask scheduler answers at"):
-        ablate(pairs(tmp_path / "images", 1, 0), ["orb"], cache=tmp_path / "cache", scheduler=address)
+        ablate(
+            pairs(tmp_path / "images", 1, 0), ["orb"], cache=tmp_path / "cache", scheduler=address
+        )
     # A client that is left half made hangs, some time, whoever makes the next one.
     assert not any(thread.name == "IO loop" for thread in threading.enumerate())
 
@@ -143,7 +194,10 @@ def test_clusters_without_workers_of_another_version_and_gone_ones(tmp_path, mon
 
     monkeypatch.setattr(module, "WORKERS_S", 2.0)
     options = {"cache": tmp_path / "cache", "out": tmp_path / "out"}
-    with loopback(tmp_path, workers=0) as cluster, pytest.raises(InputError, match="has no workers"):
+    with (
+        loopback(tmp_path, workers=0) as cluster,
+        pytest.raises(InputError, match="has no workers"),
+    ):
         ablate(pairs(tmp_path / "images", 1, 0), ["orb"], scheduler=cluster.address, **options)
     monkeypatch.setattr(module, "WORKERS_S", 60.0)
     (tmp_path / "scheduler.json").unlink()
@@ -151,14 +205,22 @@ def test_clusters_without_workers_of_another_version_and_gone_ones(tmp_path, mon
         with monkeypatch.context() as other:
             other.setattr(run, "engine_version", lambda: "sfmkit 99")
             with pytest.raises(InputError, match=r"runs sfmkit .* here is sfmkit 99"):
-                ablate(pairs(tmp_path / "images", 1, 0), ["orb"], scheduler=cluster.address, **options)
+                ablate(
+                    pairs(tmp_path / "images", 1, 0), ["orb"], scheduler=cluster.address, **options
+                )
 
         def end(progress: Progress) -> None:
             if progress.what.startswith("orb on"):
                 cluster.stop()
 
         with pytest.raises(OutputError, match="start again"):
-            ablate(pairs(tmp_path / "images", 1, 0), ["orb"], scheduler=cluster.address, progress=end, **options)
+            ablate(
+                pairs(tmp_path / "images", 1, 0),
+                ["orb"],
+                scheduler=cluster.address,
+                progress=end,
+                **options,
+            )
 
 
 # ---- hosts made of network namespaces
@@ -173,12 +235,12 @@ def _ip(*args: str) -> None:
 
 @contextmanager
 def hosts(n: int) -> Iterator[list[str]]:
-    """Network namespaces with addresses 10.97.0.2 ... joined by a bridge at 10.97.0.1; skips where none can be made."""
+    """Network namespaces with addresses 10.97.0.2 ... joined by a bridge at 10.97.0.1; skips where
+    none can be made."""
     if shutil.which("ip") is None:
         pytest.skip("there is no `ip` command to make network namespaces with")
-    tag = (
-        f"sfm{os.getpid() % 10_000}{chr(97 + next(_SETS) % 26)}"  # another each time: links go a while after their host
-    )
+    # another each time: links go a while after their host
+    tag = f"sfm{os.getpid() % 10_000}{chr(97 + next(_SETS) % 26)}"
     made: list[list[str]] = []
     try:
         _ip("link", "add", tag, "type", "bridge")
@@ -211,14 +273,22 @@ def hosts(n: int) -> Iterator[list[str]]:
 def test_a_cluster_of_hosts_gives_the_same_rows(truth, tmp_path, ship):
     with hosts(2) as names:
         cluster = Cluster(
-            tmp_path, lambda k: f"10.97.0.{k + 1}", lambda k: ["ip", "netns", "exec", names[k - 1]] if k else []
-        )  # fmt: skip
+            tmp_path,
+            lambda k: f"10.97.0.{k + 1}",
+            lambda k: ["ip", "netns", "exec", names[k - 1]] if k else [],
+        )
         try:
             cluster.start(2)
             table = ablate(
-                pairs(tmp_path / "images"), OPERATORS, seeds=SEEDS, out=tmp_path / "out", cache=tmp_path / "cache",
-                scheduler=cluster.address, ship=ship, progress=kills_after(cluster.workers[0], 15),
-            )  # fmt: skip
+                pairs(tmp_path / "images"),
+                OPERATORS,
+                seeds=SEEDS,
+                out=tmp_path / "out",
+                cache=tmp_path / "cache",
+                scheduler=cluster.address,
+                ship=ship,
+                progress=kills_after(cluster.workers[0], 15),
+            )
         finally:
             cluster.stop()
     assert table.results() == truth.results()

@@ -14,7 +14,9 @@ from sfmkit.cli import main
 def cli(tmp_path, monkeypatch):
     """The command on two small pairs, which go under the name of a data set."""
     monkeypatch.setattr(run, "LocalEngine", InlineEngine)
-    monkeypatch.setattr(sources, "pairs", lambda name, root, sequences: iter(pairs(tmp_path / "images", 2, 0)))
+    monkeypatch.setattr(
+        sources, "pairs", lambda name, root, sequences: iter(pairs(tmp_path / "images", 2, 0))
+    )
     monkeypatch.setenv("SFMKIT_CACHE", str(tmp_path / "cache"))
     worker._kept.clear()
     runner = CliRunner()
@@ -40,13 +42,19 @@ def test_dry_run_then_run_then_dry_run(cli, tmp_path):
     assert "12 rows in" in done.output
     assert "orb/akaze" in done.output
     after = cli(*SWEEP, "--dry-run", "--seeds", "2").output.split()
-    assert after[after.index("estimates") + 2 : after.index("estimates") + 7 : 2] == ["12", "12", "0"]
+    assert after[after.index("estimates") + 2 : after.index("estimates") + 7 : 2] == [
+        "12",
+        "12",
+        "0",
+    ]
 
 
 def test_cache_stats_verify_clear(cli, tmp_path):
     cli(*SWEEP, "--out", str(tmp_path / "out"), "--quiet")
     stats = cli("cache", "stats").output
-    assert [line.split()[:2] for line in stats.splitlines() if "matches" in line] == [["matches", "4"]]
+    assert [line.split()[:2] for line in stats.splitlines() if "matches" in line] == [
+        ["matches", "4"]
+    ]
     assert cli("cache", "verify").exit_code == 0
     next((tmp_path / "cache" / "matches").rglob("*.npz")).write_bytes(b"x")
     damaged = cli("cache", "verify")

@@ -34,9 +34,18 @@ def truth(tmp_path_factory) -> AblationTable:
 def start(folder: Path, workers: int = 2) -> subprocess.Popen:
     """The same sweep as a process of its own."""
     return subprocess.Popen(
-        [sys.executable, small_sweep.__file__, str(folder / "images"), str(folder / "out"), str(folder / "cache"), str(workers)],
-        env={**os.environ, "OMP_NUM_THREADS": "1"}, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            small_sweep.__file__,
+            str(folder / "images"),
+            str(folder / "out"),
+            str(folder / "cache"),
+            str(workers),
+        ],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def all_children(pid: int) -> list[int]:
@@ -57,17 +66,25 @@ def wait_until(condition, seconds: float = 60.0) -> None:
         time.sleep(0.01)
 
 
-def kill_and_resume(folder: Path, moments: int, seed: int, workers: int = 2) -> tuple[AblationTable, int]:
-    """Run the sweep, killing its parent or one of its workers at random moments, until it ends; how many were killed."""
+def kill_and_resume(
+    folder: Path, moments: int, seed: int, workers: int = 2
+) -> tuple[AblationTable, int]:
+    """Run the sweep, killing its parent or one of its workers at random moments, until it ends; how
+    many were killed."""
     rng, killed = random.Random(seed), 0
     cache = folder / "cache"
     while True:
         process = start(folder, workers)
-        # The moment is a number of further results, so that every attempt gets somewhere however slow the machine is.
+        # The moment is a number of further results, so that every attempt gets somewhere however
+        # slow the machine is.
         while killed < moments and process.poll() is None:
             results = sum(1 for _ in cache.rglob("*.npz"))
             more = rng.randrange(1, 4)
-            wait_until(lambda: process.poll() is not None or sum(1 for _ in cache.rglob("*.npz")) >= results + more)  # noqa: B023
+            wait_until(
+                lambda process=process, enough=results + more: (
+                    process.poll() is not None or sum(1 for _ in cache.rglob("*.npz")) >= enough
+                )
+            )
             time.sleep(rng.uniform(0, 0.1))
             living = all_children(process.pid) if process.poll() is None else []
             if process.poll() is not None:
@@ -77,7 +94,11 @@ def kill_and_resume(folder: Path, moments: int, seed: int, workers: int = 2) -> 
                 os.kill(rng.choice(living), signal.SIGKILL)
             else:
                 process.kill()
-                wait_until(lambda: not any(Path(f"/proc/{pid}").exists() and is_running(pid) for pid in living))  # noqa: B023
+                wait_until(
+                    lambda living=living: (
+                        not any(Path(f"/proc/{pid}").exists() and is_running(pid) for pid in living)
+                    )
+                )
         _, errors = process.communicate(timeout=250)
         if process.returncode == 0:
             return read_table(folder / "out"), killed
@@ -165,8 +186,13 @@ def test_one_and_two_workers_give_the_rows_of_one_process(truth, tmp_path):
     for workers in (1, 2):
         folder = tmp_path / str(workers)
         table = ablate(
-            pairs(folder / "images"), OPERATORS, seeds=2, out=folder / "out", cache=folder / "cache", workers=workers
-        )  # fmt: skip
+            pairs(folder / "images"),
+            OPERATORS,
+            seeds=2,
+            out=folder / "out",
+            cache=folder / "cache",
+            workers=workers,
+        )
         assert table.results() == truth.results()
 
 
@@ -178,10 +204,16 @@ def test_a_failing_unit_is_tried_job_by_job(tmp_path, monkeypatch):
     class Fragile(InlineEngine):
         def next(self):
             task, outcome = super().next()
-            if isinstance(task, EstimateTask) and any(job.combination == ("orb", "akaze") for job in task.jobs):
+            if isinstance(task, EstimateTask) and any(
+                job.combination == ("orb", "akaze") for job in task.jobs
+            ):
                 return task, Outcome("failed", "the worker died 3 times")
             return task, outcome
 
     monkeypatch.setattr(run, "LocalEngine", Fragile)
     table = ablate(pairs(tmp_path / "i", 1, 0), ("orb", "akaze"), seeds=1, cache=tmp_path / "c")
-    assert {(r["combination"], r["status"]) for r in table} == {("orb", "ok"), ("akaze", "ok"), ("orb/akaze", "failed")}
+    assert {(r["combination"], r["status"]) for r in table} == {
+        ("orb", "ok"),
+        ("akaze", "ok"),
+        ("orb/akaze", "failed"),
+    }

@@ -31,11 +31,15 @@ def test_a_varied_operator_is_searched_again_and_nothing_else_is(tmp_path):
     counts = plan.count(None)
     assert counts.detections == 4 * (2 + 2)
     assert counts.matchings == 3 * (2 + 2)
-    assert counts.rows == 3 * (3 + 2 * 4)  # three combinations without AKAZE once, four with it twice
+    assert counts.rows == 3 * (
+        3 + 2 * 4
+    )  # three combinations without AKAZE once, four with it twice
 
 
 def test_presets_and_stage_settings_share_detections(tmp_path):
-    counts = make_plan(pairs(tmp_path), OPERATORS, vary={"merge_radius": [0.5, 1.0, None]}).count(None)
+    counts = make_plan(pairs(tmp_path), OPERATORS, vary={"merge_radius": [0.5, 1.0, None]}).count(
+        None
+    )
     assert (counts.detections, counts.matchings, counts.rows) == (12, 9, 3 * 7 * 3)
 
 
@@ -47,7 +51,9 @@ def test_keys_follow_the_image_and_its_options_and_not_its_path(tmp_path):
     (tmp_path / "b" / "img1.png").write_bytes((tmp_path / "b" / "img2.png").read_bytes())
     assert make_plan(pairs_without_writing(tmp_path / "b"), OPERATORS).identity != one.identity
     assert (
-        make_plan(pairs(tmp_path / "a"), OPERATORS, vary={"budget": [100]}).detections.keys().isdisjoint(one.detections)
+        make_plan(pairs(tmp_path / "a"), OPERATORS, vary={"budget": [100]})
+        .detections.keys()
+        .isdisjoint(one.detections)
     )
 
 
@@ -56,7 +62,9 @@ def pairs_without_writing(folder):
 
 
 def test_an_estimate_does_not_depend_on_the_order_of_the_operators(tmp_path):
-    one, two = (make_plan(pairs(tmp_path), o, combos=["/".join(o)]) for o in (OPERATORS, OPERATORS[::-1]))
+    one, two = (
+        make_plan(pairs(tmp_path), o, combos=["/".join(o)]) for o in (OPERATORS, OPERATORS[::-1])
+    )
     assert [j.key for u in one.units for j in u.jobs] == [j.key for u in two.units for j in u.jobs]
 
 
@@ -77,7 +85,11 @@ def test_an_unreadable_image_is_a_pair_that_cannot_be_run_and_not_an_error(tmp_p
     (tmp_path / "img3.png").write_text("no picture")
     (tmp_path / "img4.png").unlink()
     plan = make_plan(found, OPERATORS)
-    assert ["text file" in p.failure or "no file" in p.failure for p in plan.pairs] == [False, True, True]
+    assert ["text file" in p.failure or "no file" in p.failure for p in plan.pairs] == [
+        False,
+        True,
+        True,
+    ]
     assert plan.count(None).matchings == 3
 
 

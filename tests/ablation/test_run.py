@@ -17,8 +17,8 @@ from small_sweep import InlineEngine, pairs
 from sfmkit.ablation import ablate, read_sweep, read_table, run, worker
 from sfmkit.ablation.folder import SweepFolder
 from sfmkit.errors import InputError, OutputError
-from sfmkit.pipeline import reconstruct
-from sfmkit.registration import register
+from sfmkit.pipeline.reconstruction import reconstruct
+from sfmkit.pipeline.registration import register
 
 OPERATORS = ("orb", "akaze")
 ROWS = 2 * 3  # pairs, combinations
@@ -46,9 +46,12 @@ def sweep(tmp_path, engines):
     def start(out: str = "out", cache: str = "cache", data=None, **options):
         worker._kept.clear()
         return ablate(
-            pairs(tmp_path / "images", 2, 0) if data is None else data, options.pop("operators", OPERATORS),
-            out=tmp_path / out, cache=tmp_path / cache, **options,
-        )  # fmt: skip
+            pairs(tmp_path / "images", 2, 0) if data is None else data,
+            options.pop("operators", OPERATORS),
+            out=tmp_path / out,
+            cache=tmp_path / cache,
+            **options,
+        )
 
     return start
 
@@ -70,7 +73,9 @@ def test_rows_are_what_register_and_reconstruct_say(sweep, tmp_path):
     assert row["verdict"] == view.verdict
     assert row["inliers"] == int(view.inliers.sum())
     if view.R is not None:
-        torch.testing.assert_close(torch.tensor(row["R"], dtype=torch.float64).reshape(3, 3), view.R, rtol=0, atol=0)
+        torch.testing.assert_close(
+            torch.tensor(row["R"], dtype=torch.float64).reshape(3, 3), view.R, rtol=0, atol=0
+        )
 
 
 def test_a_second_run_computes_nothing_and_a_second_folder_neither(sweep, engines):
@@ -116,11 +121,14 @@ def test_progress_counts_rows_to_the_end(sweep):
 def test_images_given_as_arrays(tmp_path, engines):
     from dataclasses import replace
 
-    from sfmkit.images import read_image
+    from sfmkit.io.images import read_image
 
     (pair,) = pairs(tmp_path / "images", 1, 0)
     arrays = replace(pair, image1=read_image(pair.image1).grey, image2=read_image(pair.image2).rgb)
-    one, two = (ablate([p], ["orb"], out=tmp_path / o, cache=tmp_path / "c") for p, o in ((pair, "a"), (arrays, "b")))
+    one, two = (
+        ablate([p], ["orb"], out=tmp_path / o, cache=tmp_path / "c")
+        for p, o in ((pair, "a"), (arrays, "b"))
+    )
     assert one.results() == two.results()
     assert all(Path(i["path"]).is_file() for i in read_sweep(tmp_path / "b")["pairs"][0]["images"])
 
@@ -129,7 +137,10 @@ def test_the_cache_and_the_folder_hold_no_pickle(sweep, tmp_path):
     sweep()
     for file in tmp_path.rglob("*"):
         if file.is_file():
-            assert file.suffix in (".npz", ".parquet", ".json", ".png", ".lock", "") or file.name == ".lock", file
+            assert (
+                file.suffix in (".npz", ".parquet", ".json", ".png", ".lock", "")
+                or file.name == ".lock"
+            ), file
 
 
 # ---- what goes wrong
@@ -139,7 +150,9 @@ def test_an_unreadable_image_is_rows_with_the_reason_and_the_others_go_on(sweep,
     whole = sweep(out="whole")
     data = pairs(tmp_path / "images", 2, 0)
     bytes_ = (tmp_path / "images" / "img3.png").read_bytes()
-    (tmp_path / "images" / "img3.png").write_bytes(bytes_[: len(bytes_) // 2])  # the header is sound
+    (tmp_path / "images" / "img3.png").write_bytes(
+        bytes_[: len(bytes_) // 2]
+    )  # the header is sound
     table = sweep(data=data, out="cut", cache="other")
     bad = [r for r in table if r["status"] == "failed"]
     assert {r["pair"] for r in bad} == {"1-3"}
@@ -208,7 +221,9 @@ def test_a_corrupt_cache_entry_is_made_again_and_said(sweep, tmp_path):
     assert all("made again" in note for note in notes)
 
 
-def test_a_full_disk_ends_the_sweep_with_a_message_and_what_was_done_stays(sweep, tmp_path, monkeypatch, engines):
+def test_a_full_disk_ends_the_sweep_with_a_message_and_what_was_done_stays(
+    sweep, tmp_path, monkeypatch, engines
+):
     write = Path.write_bytes
     room = [6]
 
@@ -265,7 +280,9 @@ def test_images_that_changed_are_refused(sweep, tmp_path):
 def test_another_version_of_the_code_is_refused(sweep, tmp_path):
     sweep()
     file = tmp_path / "out" / "sweep.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"engine": "sfmkit 0.0.1", "identity": "x"}))
+    file.write_text(
+        json.dumps(json.loads(file.read_text()) | {"engine": "sfmkit 0.0.1", "identity": "x"})
+    )
     with pytest.raises(InputError, match=r"made by sfmkit 0\.0\.1"):
         sweep()
 
@@ -277,7 +294,10 @@ def test_a_worker_of_another_version_is_refused(sweep, monkeypatch):
 
 
 def test_a_second_sweep_in_the_folder_is_refused_while_the_first_runs(sweep, tmp_path):
-    with SweepFolder(tmp_path / "out").locked(), pytest.raises(InputError, match=f"process {os.getpid()} on"):
+    with (
+        SweepFolder(tmp_path / "out").locked(),
+        pytest.raises(InputError, match=f"process {os.getpid()} on"),
+    ):
         sweep()
     assert len(sweep()) == ROWS
 

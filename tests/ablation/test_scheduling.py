@@ -1,4 +1,5 @@
-"""The agenda: everything once, after what it needs, and failures take along only what needs them."""
+"""The agenda: everything once, after what it needs, and failures take along only what needs
+them."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ def carry_out(plan: Plan, agenda: Agenda, fails=lambda task: "", seed: int = 0) 
             task = agenda.pop()
             done = {t.key for t in order}
             assert all(
-                key in done or agenda.is_there(need) or key in agenda.failed for key, need in all_needs(task).items()
+                key in done or agenda.is_there(need) or key in agenda.failed
+                for key, need in all_needs(task).items()
             )
             running.append(task)
         task = running.pop(rng.randrange(len(running)))
@@ -57,13 +59,17 @@ def test_features_that_were_evicted_are_made_again_though_the_matches_are_there(
 def test_a_failure_takes_along_what_needs_it_and_nothing_else(plan):
     gone: dict[int, dict[str, str]] = {}
     bad = next(
-        d for d in plan.detections.values() if d.setting.operator == "akaze" and d.image.path.endswith("img3.png")
+        d
+        for d in plan.detections.values()
+        if d.setting.operator == "akaze" and d.image.path.endswith("img3.png")
     )
 
     def give_up(task: EstimateTask, reasons: dict[str, str]) -> None:
         gone[task.pair] = reasons
 
-    order = carry_out(plan, Agenda(lambda t: False, give_up), lambda t: "broken" if t.key == bad.key else "")
+    order = carry_out(
+        plan, Agenda(lambda t: False, give_up), lambda t: "broken" if t.key == bad.key else ""
+    )
     assert gone == {1: {"akaze": "broken"}}
     assert not any(isinstance(t, MatchTask) and bad in t.needs for t in order)
     for task in order:
@@ -74,7 +80,9 @@ def test_a_failure_takes_along_what_needs_it_and_nothing_else(plan):
 
 def test_when_all_operators_fail_nothing_is_estimated(plan):
     gone = []
-    order = carry_out(plan, Agenda(lambda t: False, lambda t, r: gone.append(t.pair)), lambda t: "x")
+    order = carry_out(
+        plan, Agenda(lambda t: False, lambda t, r: gone.append(t.pair)), lambda t: "x"
+    )
     assert all(isinstance(t, DetectTask) for t in order)
     assert sorted(gone) == [0, 1, 2]
 

@@ -12,7 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sfmkit.ablation.sources import PlannedPair
-from sfmkit.ablation.table import SCHEMA, VOLATILE, AblationTable, make_row, read_table, table_of, write_table
+from sfmkit.ablation.table import (
+    SCHEMA,
+    VOLATILE,
+    AblationTable,
+    make_row,
+    read_table,
+    table_of,
+    write_table,
+)
 from sfmkit.ablation.tasks import EstimateTask, ImageRef, Job
 from sfmkit.ablation.variants import Variant
 from sfmkit.errors import InputError
@@ -27,10 +35,22 @@ def unit(homography: bool) -> EstimateTask:
 
 def result(**model) -> dict:
     return {
-        "keypoints": [10, 20], "matches": 9, "correspondences": 8, "inliers": 7, "guided": None, "verdict": "general",
-        "reason": "r", "H": None, "R": None, "t": None, "peak_mb": 5.0, "versions": {"sfmkit": "1"}, "machine": "m",
-        "seconds": {"detect": 1.0, "match": 2.0, "fuse": 0.25, "estimate": 0.5}, **model,
-    }  # fmt: skip
+        "keypoints": [10, 20],
+        "matches": 9,
+        "correspondences": 8,
+        "inliers": 7,
+        "guided": None,
+        "verdict": "general",
+        "reason": "r",
+        "H": None,
+        "R": None,
+        "t": None,
+        "peak_mb": 5.0,
+        "versions": {"sfmkit": "1"},
+        "machine": "m",
+        "seconds": {"detect": 1.0, "match": 2.0, "fuse": 0.25, "estimate": 0.5},
+        **model,
+    }
 
 
 def test_a_homography_that_shifts_by_3_and_4_pixels_too_much_is_5_pixels_off():
@@ -38,7 +58,12 @@ def test_a_homography_that_shifts_by_3_and_4_pixels_too_much_is_5_pixels_off():
     row = make_row(pair, unit(True), JOB, result(H=[1.0, 0, 3, 0, 1, 4, 0, 0, 1], verdict="planar"))
     assert row["corner_error_px"] == row["error"] == pytest.approx(5)
     assert row["rmse"] == pytest.approx(5 / 3)  # sqrt((9 + 16) / 9)
-    assert (row["error_unit"], row["status"], row["combination"], row["seed"]) == ("px", "ok", "surf/orb", 7)
+    assert (row["error_unit"], row["status"], row["combination"], row["seed"]) == (
+        "px",
+        "ok",
+        "surf/orb",
+        7,
+    )
     assert row["seconds"] == 3.75
 
 
@@ -57,7 +82,9 @@ def test_a_pose_turned_by_2_degrees_with_a_direction_off_by_3():
 def test_no_estimate_is_an_infinite_error_where_the_truth_is_known_and_none_where_it_is_not():
     nothing = result(verdict="too little evidence")
     for homography, truth in ((True, {"H": np.eye(3)}), (False, {"R": np.eye(3), "t": np.ones(3)})):
-        row = make_row(PlannedPair("d", "s", "p", IMAGES, homography, **truth), unit(homography), JOB, nothing)
+        row = make_row(
+            PlannedPair("d", "s", "p", IMAGES, homography, **truth), unit(homography), JOB, nothing
+        )
         assert (row["status"], row["error"]) == ("no estimate", math.inf)
     row = make_row(PlannedPair("d", "s", "p", IMAGES, False), unit(False), JOB, nothing)
     assert (row["has_truth"], row["error"]) == (False, None)
@@ -65,28 +92,41 @@ def test_no_estimate_is_an_infinite_error_where_the_truth_is_known_and_none_wher
 
 def test_a_camera_that_only_turned_has_no_direction_to_get_wrong():
     pair = PlannedPair("d", "s", "p", IMAGES, False, R=np.eye(3), t=np.zeros(3))
-    row = make_row(pair, unit(False), JOB, result(R=np.eye(3).flatten().tolist(), verdict="pure rotation"))
+    row = make_row(
+        pair, unit(False), JOB, result(R=np.eye(3).flatten().tolist(), verdict="pure rotation")
+    )
     assert row["error"] == pytest.approx(0, abs=1e-6)
     assert row["translation_deg"] is None
 
 
 def test_a_pure_rotation_where_the_camera_moved_has_an_infinite_error():
     pair = PlannedPair("d", "s", "p", IMAGES, False, R=np.eye(3), t=np.ones(3))
-    row = make_row(pair, unit(False), JOB, result(R=np.eye(3).flatten().tolist(), verdict="pure rotation"))
+    row = make_row(
+        pair, unit(False), JOB, result(R=np.eye(3).flatten().tolist(), verdict="pure rotation")
+    )
     assert row["error"] == math.inf
 
 
 def test_a_failed_run_is_a_row_with_its_reason():
     pair = PlannedPair("d", "s", "p", None, True, H=np.eye(3), failure="ImageError: x")
     row = make_row(pair, unit(True), JOB, pair.failure)
-    assert (row["status"], row["failure"], row["error"], row["verdict"]) == ("failed", "ImageError: x", None, None)
+    assert (row["status"], row["failure"], row["error"], row["verdict"]) == (
+        "failed",
+        "ImageError: x",
+        None,
+        None,
+    )
 
 
 def test_the_table_goes_to_parquet_and_back(tmp_path):
     pair = PlannedPair("d", "s", "1-2", IMAGES, True, H=np.eye(3))
     rows = [
         make_row(pair, unit(True), JOB, r)
-        for r in (result(H=[1.0, 0, 3, 0, 1, 4, 0, 0, 1]), "broke", result(verdict="too little evidence"))
+        for r in (
+            result(H=[1.0, 0, 3, 0, 1, 4, 0, 0, 1]),
+            "broke",
+            result(verdict="too little evidence"),
+        )
     ]
     write_table(table_of(rows), tmp_path / "ablation.parquet")
     table = read_table(tmp_path)

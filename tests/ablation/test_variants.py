@@ -16,7 +16,9 @@ FIVE = ("surf", "orb", "fast-brief", "sift", "akaze")
 def test_all_combinations_of_five_are_the_31_subsets_each_once():
     found = choose_combinations(FIVE, "all")
     assert len(found) == 31
-    assert {frozenset(c) for c in found} == {frozenset(c) for n in range(1, 6) for c in combinations(FIVE, n)}
+    assert {frozenset(c) for c in found} == {
+        frozenset(c) for n in range(1, 6) for c in combinations(FIVE, n)
+    }
     assert [len(c) for c in found] == sorted(len(c) for c in found)
     assert all(list(c) == sorted(c, key=FIVE.index) for c in found)
 
@@ -28,7 +30,11 @@ def test_pairs_and_leave_one_out():
 
 
 def test_with_two_operators_leave_one_out_names_nothing_twice():
-    assert choose_combinations(("surf", "orb"), "leave-one-out") == [("surf",), ("orb",), ("surf", "orb")]
+    assert choose_combinations(("surf", "orb"), "leave-one-out") == [
+        ("surf",),
+        ("orb",),
+        ("surf", "orb"),
+    ]
 
 
 def test_a_list_is_put_in_the_operators_order_and_duplicates_go():
@@ -44,14 +50,19 @@ def test_lists_that_cannot_be(combos):
 
 def test_a_varied_option_concerns_only_combinations_with_its_operator():
     variants = choose_variants(["default"], parse_vary(["hessian=30,100"]), FIVE)
-    assert [dict(v.changes) for v in variants] == [{"surf.hessian_threshold": 30.0}, {"surf.hessian_threshold": 100.0}]
+    assert [dict(v.changes) for v in variants] == [
+        {"surf.hessian_threshold": 30.0},
+        {"surf.hessian_threshold": 100.0},
+    ]
     assert {v.of(("orb", "sift")) for v in variants} == {Variant("default")}
     assert variants[1].setting("surf").options == (("hessian_threshold", 100.0),)
     assert variants[1].setting("orb").options == ()
 
 
 def test_stage_settings_reach_their_stage_with_their_type():
-    (v,) = choose_variants(["PAPER"], {"budget": ["8000"], "merge_radius": ["none"], "mutual": ["false"]}, FIVE)
+    (v,) = choose_variants(
+        ["PAPER"], {"budget": ["8000"], "merge_radius": ["none"], "mutual": ["false"]}, FIVE
+    )
     assert v.options.detect.budget == 8000
     assert isinstance(v.options.detect.budget, int)
     assert v.options.fuse.merge_radius is None
@@ -62,13 +73,25 @@ def test_stage_settings_reach_their_stage_with_their_type():
 
 def test_every_combination_of_varied_values():
     assert (
-        len(choose_variants(["default", "paper"], {"budget": [1000, 2000], "max_ratio": [0.8, 0.9, None]}, FIVE)) == 12
+        len(
+            choose_variants(
+                ["default", "paper"], {"budget": [1000, 2000], "max_ratio": [0.8, 0.9, None]}, FIVE
+            )
+        )
+        == 12
     )
 
 
 @pytest.mark.parametrize(
     "vary",
-    [{"hesian": [3]}, {"n": [3]}, {"budget": []}, {"budget": ["many"]}, {"budget": ["1.5"]}, {"mutual": ["maybe"]}],
+    [
+        {"hesian": [3]},
+        {"n": [3]},
+        {"budget": []},
+        {"budget": ["many"]},
+        {"budget": ["1.5"]},
+        {"mutual": ["maybe"]},
+    ],
 )
 def test_variations_that_cannot_be(vary):
     with pytest.raises(InputError):

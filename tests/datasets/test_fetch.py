@@ -1,4 +1,5 @@
-"""Fetching over a local server: resuming, mirrors, checks; and archives that must not be unpacked."""
+"""Fetching over a local server: resuming, mirrors, checks; and archives that must not be
+unpacked."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 import sfmkit.datasets.registry as registry
-from sfmkit.commands.data import data as data_commands
+from sfmkit.cli.data import data as data_commands
 from sfmkit.datasets.archives import unpack
 from sfmkit.datasets.fetch import fetch
 from sfmkit.datasets.registry import DatasetSpec, Download, check_folder, fingerprint
@@ -25,7 +26,8 @@ LIMITS = {"max_files": 10, "max_bytes": 100_000}
 
 
 class Server:
-    """Files under 127.0.0.1, with ranges; `cut` closes the connection after that many bytes, once."""
+    """Files under 127.0.0.1, with ranges; `cut` closes the connection after that many bytes,
+    once."""
 
     def __init__(self):
         self.files: dict[str, bytes] = {}
@@ -42,7 +44,9 @@ class Server:
                     self.send_error(404)
                     return
                 body = outer.files[name]
-                start = int(wanted.removeprefix("bytes=").rstrip("-")) if wanted and outer.ranges else 0
+                start = (
+                    int(wanted.removeprefix("bytes=").rstrip("-")) if wanted and outer.ranges else 0
+                )
                 if start and start >= len(body):
                     self.send_error(416)
                     return
@@ -93,9 +97,16 @@ def spec(server, tmp_path, monkeypatch):
     """A data set of one archive, pinned by the pixels of a PNG and the words of a text file."""
     (tmp_path / "img1.png").write_bytes(picture(format="PNG"))
     (tmp_path / "H1to2p").write_text("1 0 0\n0 1 0\n0 0 1")
-    pins = {"toy": {"a/img1": fingerprint(tmp_path / "img1.png"), "a/H1to2p": fingerprint(tmp_path / "H1to2p")}}
+    pins = {
+        "toy": {
+            "a/img1": fingerprint(tmp_path / "img1.png"),
+            "a/H1to2p": fingerprint(tmp_path / "H1to2p"),
+        }
+    }
     monkeypatch.setattr(registry, "_checksums", lambda: pins)
-    server.files["a.tar.gz"] = tar_of({"a/img1.ppm": picture(), "a/H1to2p": b"1 0 0 \r\n 0 1 0 \r\n 0 0 1 \r\n"})
+    server.files["a.tar.gz"] = tar_of(
+        {"a/img1.ppm": picture(), "a/H1to2p": b"1 0 0 \r\n 0 1 0 \r\n 0 0 1 \r\n"}
+    )
     download = Download((f"{server.url}/gone.tar.gz", f"{server.url}/a.tar.gz"), folder="a")
     return DatasetSpec("toy", "A toy", "home", "terms", "cite", 1, (download,))
 
@@ -143,7 +154,9 @@ def test_a_server_without_ranges_or_a_stale_part_begins_again(spec, server, tmp_
 
 
 def test_other_contents_are_refused_and_nothing_stays(spec, server, tmp_path):
-    server.files["a.tar.gz"] = tar_of({"a/img1.ppm": picture((1, 2, 3)), "a/H1to2p": b"1 0 0 0 1 0 0 0 1"})
+    server.files["a.tar.gz"] = tar_of(
+        {"a/img1.ppm": picture((1, 2, 3)), "a/H1to2p": b"1 0 0 0 1 0 0 0 1"}
+    )
     with pytest.raises(InputError, match=r"is not what it should be.*a/img1"):
         fetch(spec, tmp_path / "data")
     assert names(tmp_path / "data") == []
@@ -167,7 +180,9 @@ def test_single_files(server, tmp_path, monkeypatch):
     server.files["x.jpg"] = picture(format="JPEG")
     pin = "bytes:" + hashlib.sha256(server.files["x.jpg"]).hexdigest()
     monkeypatch.setattr(registry, "_checksums", lambda: {"toy": {"f/x.jpg": pin}})
-    spec = DatasetSpec("toy", "", "", "", "", 1, (Download((f"{server.url}/x.jpg",), "f/x.jpg", archive=False),))
+    spec = DatasetSpec(
+        "toy", "", "", "", "", 1, (Download((f"{server.url}/x.jpg",), "f/x.jpg", archive=False),)
+    )
     fetch(spec, tmp_path)
     assert names(tmp_path) == ["toy/f/x.jpg"]
     server.files["x.jpg"] += b"\0"
@@ -200,7 +215,7 @@ def link(name: str, target: str, kind: bytes) -> tarfile.TarInfo:
         (b"", "no archive"),
         (tar_of({}), "no files"),
     ],
-)  # fmt: skip
+)
 def test_bad_tar_archives_are_refused(tmp_path, body, message):
     (tmp_path / "bad.tar.gz").write_bytes(body)
     (tmp_path / "in/side").mkdir(parents=True)
@@ -215,7 +230,9 @@ def test_zip_archives(tmp_path):
         z.writestr("top/x.txt", "hello")
         z.writestr("__MACOSX/._x", "junk")
     (tmp_path / "out").mkdir()
-    assert names(unpack(file, tmp_path / "out", **LIMITS)) == ["x.txt"], "the one folder inside is the contents"
+    assert names(unpack(file, tmp_path / "out", **LIMITS)) == ["x.txt"], (
+        "the one folder inside is the contents"
+    )
     with zipfile.ZipFile(file, "w") as z:
         info = zipfile.ZipInfo("s")
         info.external_attr = 0o120777 << 16
@@ -242,7 +259,9 @@ def test_commands(spec, tmp_path, monkeypatch):
     done = runner.invoke(data_commands, ["fetch", "toy", *where])
     assert done.exit_code == 0, done.output
     assert done.output.index("terms: terms") < done.output.index("complete")
-    assert "2 of 2 files as pinned" in runner.invoke(data_commands, ["verify", "toy", *where]).output
+    assert (
+        "2 of 2 files as pinned" in runner.invoke(data_commands, ["verify", "toy", *where]).output
+    )
     assert "A toy" in runner.invoke(data_commands, ["list", *where]).output
     (tmp_path / "data/toy/a/H1to2p").write_text("1 0 0 0 1 0 0 0")
     failed = runner.invoke(data_commands, ["verify", *where])

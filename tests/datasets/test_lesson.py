@@ -1,4 +1,5 @@
-"""The pair of the notebooks is posed and scaled consistently, with and without the real photographs."""
+"""The pair of the notebooks is posed and scaled consistently, with and without the real
+photographs."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import pytest
 from sfmkit.datasets.lesson import lesson_pair, lesson_planes
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import InputError
-from sfmkit.pipeline import reconstruct
+from sfmkit.pipeline.reconstruction import reconstruct
 
 
 def test_without_data_it_is_the_bundled_pair_and_its_pose_is_found(monkeypatch, tmp_path):

@@ -8,7 +8,7 @@ from PIL import Image
 
 from sfmkit.datasets import Pair, pairs
 from sfmkit.datasets.colmap import colmap
-from sfmkit.datasets.pairs import data_root, photographs, read_homography
+from sfmkit.datasets.pair import data_root, photographs, read_homography
 from sfmkit.errors import InputError
 
 EYE = "1 0 0\n0 1 0\n0 0 1\n"
@@ -28,7 +28,9 @@ def make_oxford(root, sequences=("graf",), suffix=".png"):
 def test_oxford_pairs_come_with_homographies_scaled_to_one(tmp_path):
     make_oxford(tmp_path, ("wall", "bark"), ".ppm")
     found = list(pairs("oxford", tmp_path))
-    assert [str(p) for p in found] == [f"oxford/{s} 1-{k}" for s in ("bark", "wall") for k in range(2, 7)]
+    assert [str(p) for p in found] == [
+        f"oxford/{s} 1-{k}" for s in ("bark", "wall") for k in range(2, 7)
+    ]
     np.testing.assert_array_equal(found[3].H, [[1, 0, 5], [0, 1, 0], [0, 0, 1]])
     assert found[3].image2.name == "img5.ppm"
     assert not found[3].H.flags.writeable
@@ -126,8 +128,12 @@ def test_colmap_model_moves_half_a_pixel_and_chains_poses(tmp_path):
     assert pair.name == "a-b"
     np.testing.assert_array_equal(pair.camera1.K, [[90, 0, 49.5], [0, 91, 39.5], [0, 0, 1]])
     np.testing.assert_array_equal(pair.camera1.distortion, [0.1, 0.2, 0.3, 0.4, 0])
-    np.testing.assert_allclose(pair.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)  # a quarter turn about z
-    np.testing.assert_allclose(pair.t, [1, 1, 3], atol=1e-15)  # X2 = Rz X + (1, 2, 3) with X = X1 - (1, 0, 0)
+    np.testing.assert_allclose(
+        pair.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15
+    )  # a quarter turn about z
+    np.testing.assert_allclose(
+        pair.t, [1, 1, 3], atol=1e-15
+    )  # X2 = Rz X + (1, 2, 3) with X = X1 - (1, 0, 0)
     (tmp_path / "cameras.txt").write_text("1 FOV 100 80 90 91 50 40 .1\n")
     with pytest.raises(InputError, match="FOV"):
         list(colmap(tmp_path, tmp_path))

@@ -1,4 +1,5 @@
-"""The painted planes: their homographies against pinhole cameras in space, and the pictures against the homographies."""
+"""The painted planes: their homographies against pinhole cameras in space, and the pictures against
+the homographies."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ def test_homographies_carry_points_of_the_plane_between_cameras(name):
     x1 = f * X[:, :2] / 4.4 + centre
     for view in SEQUENCES[name][1]:
         turns = [
-            cv2.Rodrigues(np.deg2rad(a) * np.eye(3)[k])[0] for k, a in ((2, view.roll), (1, view.yaw), (0, view.pitch))
+            cv2.Rodrigues(np.deg2rad(a) * np.eye(3)[k])[0]
+            for k, a in ((2, view.roll), (1, view.yaw), (0, view.pitch))
         ]
         R = turns[0] @ turns[1] @ turns[2]
         X2 = (X - [*view.shift, 0]) @ R.T + [0, 0, 4.4 / view.zoom]
@@ -44,7 +46,10 @@ def test_first_image_warped_is_the_other_image(name):
         two = photograph_plane(material, view, size_wh=SIZE, noise=0)
         H = homography(View(), view, SIZE)
         # both made coarser, so that the difference in resolution does not matter
-        blur = [cv2.GaussianBlur(a.astype(np.float32), (0, 0), s) for a, s in ((one, 2.5 / view.zoom), (two, 2.5))]
+        blur = [
+            cv2.GaussianBlur(a.astype(np.float32), (0, 0), s)
+            for a, s in ((one, 2.5 / view.zoom), (two, 2.5))
+        ]
 
         def difference(M, one=blur[0], two=blur[1]):
             warped = cv2.warpPerspective(one, M, SIZE, borderValue=(-1e4,) * 3)
@@ -52,8 +57,16 @@ def test_first_image_warped_is_the_other_image(name):
             return np.abs(warped - two)[good].mean()
 
         best = difference(H)
-        for shift in ((1, 0), (-1, 0), (0, 1), (0, -1)):  # a shift by one pixel in any direction is worse
-            assert difference(np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1.0]]) @ H) > 1.3 * best
+        for shift in (
+            (1, 0),
+            (-1, 0),
+            (0, 1),
+            (0, -1),
+        ):  # a shift by one pixel in any direction is worse
+            assert (
+                difference(np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1.0]]) @ H)
+                > 1.3 * best
+            )
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -62,15 +75,21 @@ def test_the_change_grows(name):
     material, views = SEQUENCES[name]
 
     def features(view, seed):
-        k, d = sift.detectAndCompute(photograph_plane(material, view, size_wh=size, seed=seed), None)
+        k, d = sift.detectAndCompute(
+            photograph_plane(material, view, size_wh=size, seed=seed), None
+        )
         return np.array([p.pt for p in k]), d
 
     x1, d1 = features(View(), 0)
     counts = []
     for view in (views[0], views[-1]):
         x2, d2 = features(view, 1)
-        i, j = np.array([(m.queryIdx, m.trainIdx) for m in cv2.BFMatcher(crossCheck=True).match(d1, d2)]).T
-        counts.append((np.linalg.norm(apply(homography(View(), view, size), x1[i]) - x2[j], axis=1) < 2).sum())
+        i, j = np.array(
+            [(m.queryIdx, m.trainIdx) for m in cv2.BFMatcher(crossCheck=True).match(d1, d2)]
+        ).T
+        counts.append(
+            (np.linalg.norm(apply(homography(View(), view, size), x1[i]) - x2[j], axis=1) < 2).sum()
+        )
     assert counts[0] > 150
     assert counts[0] > 1.8 * counts[1] > 0
 

@@ -12,11 +12,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sfmkit.datasets.materials import BRICK_STEEPNESS, BRICK_THICKNESS, brick_height
-from sfmkit.datasets.raycasting import radiance
-from sfmkit.datasets.scenes import Scene, look
-from sfmkit.datasets.surfaces import Rectangle
-from sfmkit.datasets.synthetic import SCENES, SyntheticPair, demo_pair, named_scene, photograph, render
+from sfmkit.datasets.rendering.materials import BRICK_STEEPNESS, BRICK_THICKNESS, brick_height
+from sfmkit.datasets.rendering.raycasting import radiance
+from sfmkit.datasets.rendering.scenes import Scene, look
+from sfmkit.datasets.rendering.surfaces import Rectangle
+from sfmkit.datasets.synthetic import (
+    SCENES,
+    SyntheticPair,
+    demo_pair,
+    named_scene,
+    photograph,
+    render,
+)
 from sfmkit.errors import InputError
 
 
@@ -42,7 +49,9 @@ def project(K: np.ndarray, X: np.ndarray) -> np.ndarray:
 
 
 def bilinear(image: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return cv2.remap(image.astype(np.float32), *x.T.astype(np.float32)[:, None], cv2.INTER_LINEAR)[0]
+    return cv2.remap(image.astype(np.float32), *x.T.astype(np.float32)[:, None], cv2.INTER_LINEAR)[
+        0
+    ]
 
 
 # ---- geometry ----
@@ -55,7 +64,9 @@ def test_points_are_where_their_pixels_look(small, name):
     seen = np.isfinite(pair.depth1.ravel())
     assert seen.mean() > 0.7
     y, x = np.mgrid[0:120, 0:160].reshape(2, -1)
-    np.testing.assert_allclose(project(pair.camera1.K, X[seen]), np.column_stack([x, y])[seen], atol=1e-9)
+    np.testing.assert_allclose(
+        project(pair.camera1.K, X[seen]), np.column_stack([x, y])[seen], atol=1e-9
+    )
     np.testing.assert_array_equal(X[seen, 2], pair.depth1.ravel()[seen])
     assert np.isnan(X[~seen]).all()
 
@@ -79,7 +90,8 @@ def test_transfer_is_the_pose_applied_to_the_points_and_camera_2_sees_the_same_d
 
 
 def test_depth_map_of_the_second_view_agrees_with_transfer_on_a_plane(small):
-    # the inverse depth of a plane is linear in the pixel (Hartley and Zisserman, sec. 13.1): interpolation is exact
+    # the inverse depth of a plane is linear in the pixel (Hartley and Zisserman, sec. 13.1):
+    # interpolation is exact
     pair = small["plane"]
     x1 = some_pixels(pair)
     X2 = pair.points1[x1[:, 1].astype(int), x1[:, 0].astype(int)] @ pair.R.T + pair.t
@@ -88,7 +100,9 @@ def test_depth_map_of_the_second_view_agrees_with_transfer_on_a_plane(small):
     j, i = np.clip(np.floor(x2), 0, (158, 118)).astype(int).T
     a, b = (x2 - np.column_stack([j, i])).T
     q = 1 / pair.depth2
-    inverse = (q[i, j] * (1 - a) + q[i, j + 1] * a) * (1 - b) + (q[i + 1, j] * (1 - a) + q[i + 1, j + 1] * a) * b
+    inverse = (q[i, j] * (1 - a) + q[i, j + 1] * a) * (1 - b) + (
+        q[i + 1, j] * (1 - a) + q[i + 1, j + 1] * a
+    ) * b
     np.testing.assert_allclose(1 / inverse, z2, rtol=1e-9)
 
 
@@ -177,15 +191,22 @@ def test_both_pictures_show_the_same_thing(name, bound, courtyard, small):
 
 
 def test_an_edge_is_drawn_where_geometry_puts_it():
-    # white to the right of a line on a wall: the light in a row tells, to a fraction of a pixel, where the line runs
+    # white to the right of a line on a wall: the light in a row tells, to a fraction of a pixel,
+    # where the line runs
     def half_white(u, v, footprint):
         return np.repeat((u > 20.0).astype(np.float32)[:, None], 3, axis=1), None
 
-    wall = Rectangle(np.array([-20.0, -20, 5]), np.array([40.0, 0, 0]), np.array([0, 40.0, 0]), half_white)
-    scene = Scene("edge", (wall,), look((-0.3, 0.2, 0), (0.1, 0.4, 5), 7), look((0.5, 0, 0), (0, 0, 5)))
+    wall = Rectangle(
+        np.array([-20.0, -20, 5]), np.array([40.0, 0, 0]), np.array([0, 40.0, 0]), half_white
+    )
+    scene = Scene(
+        "edge", (wall,), look((-0.3, 0.2, 0), (0.1, 0.4, 5), 7), look((0.5, 0, 0), (0, 0, 5))
+    )
     K = scene.K((64, 48))
     light = radiance(scene, scene.pose1, K, (64, 48), 8)[..., 0]
-    first = np.argmax(light > 0, axis=1)[:, None]  # the pixel that the edge enters, and maybe the next, are part white
+    first = np.argmax(light > 0, axis=1)[
+        :, None
+    ]  # the pixel that the edge enters, and maybe the next, are part white
     part, rest, white = (np.take_along_axis(light, first + k, axis=1)[:, 0] for k in (0, 1, 2))
     drawn = first[:, 0] + 1.5 - (part + rest) / white
     ends = (np.array([[0.0, -1, 5], [0.0, 1, 5]]) - scene.pose1.centre) @ scene.pose1.R.T
@@ -235,10 +256,17 @@ def test_knobs_do_what_they_say():
     assert energy(picture(blur=1.5)) < 0.6 * energy(plain)
     assert picture(exposure=0.4).mean() < 0.8 * plain.mean() < 0.8 * picture(exposure=2.0).mean()
     coarse, fine = picture(jpeg_quality=10), picture(jpeg_quality=95)
-    assert np.abs(coarse.astype(float) - plain).mean() > 2 * np.abs(fine.astype(float) - plain).mean() > 0
+    assert (
+        np.abs(coarse.astype(float) - plain).mean()
+        > 2 * np.abs(fine.astype(float) - plain).mean()
+        > 0
+    )
     # supersampling converges: 3 x 3 rays are nearer to 6 x 6 than one ray is
     best = picture(supersample=6).astype(float)
-    assert np.abs(picture(supersample=3) - best).mean() < 0.5 * np.abs(picture(supersample=1) - best).mean()
+    assert (
+        np.abs(picture(supersample=3) - best).mean()
+        < 0.5 * np.abs(picture(supersample=1) - best).mean()
+    )
 
 
 def test_spectrum_is_that_of_photographs(courtyard):
@@ -286,7 +314,9 @@ def test_operators_find_real_matches_and_some_wrong_ones(courtyard, operator):
     Ki = np.linalg.inv(courtyard.camera1.K)
     F = Ki.T @ np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]]) @ courtyard.R @ Ki
     line = np.column_stack([x1, np.ones(len(x1))]) @ F.T
-    off = np.abs((line * np.column_stack([x2, np.ones(len(x2))])).sum(1)) / np.hypot(line[:, 0], line[:, 1])
+    off = np.abs((line * np.column_stack([x2, np.ones(len(x2))])).sum(1)) / np.hypot(
+        line[:, 0], line[:, 1]
+    )
     assert (off[true] < 1).all()
     assert (off < 1).mean() >= share
 
@@ -339,7 +369,9 @@ def test_the_bundled_pair_is_there_with_its_truth():
     scene = named_scene(truth["scene"])
     np.testing.assert_allclose(truth["K"], scene.K(truth["size_wh"]), atol=1e-9)
     np.testing.assert_allclose(truth["R"], scene.pose2.R @ scene.pose1.R.T, atol=1e-12)
-    np.testing.assert_allclose(truth["t"], scene.pose2.R @ (scene.pose1.centre - scene.pose2.centre), atol=1e-12)
+    np.testing.assert_allclose(
+        truth["t"], scene.pose2.R @ (scene.pose1.centre - scene.pose2.centre), atol=1e-12
+    )
 
 
 def test_the_bundled_pair_is_what_the_scene_renders_today():
@@ -347,14 +379,18 @@ def test_the_bundled_pair_is_what_the_scene_renders_today():
     path1, path2, path = demo_pair()
     pair = render(json.loads(path.read_text())["scene"], size_wh=(200, 150), noise=0)
     for file, image in ((path1, pair.image1), (path2, pair.image2)):
-        reduced = np.asarray(Image.open(file).resize((200, 150), Image.Resampling.BOX)).astype(float)
+        reduced = np.asarray(Image.open(file).resize((200, 150), Image.Resampling.BOX)).astype(
+            float
+        )
         assert np.abs(reduced - image).mean() < 8
         assert np.corrcoef(reduced.ravel(), image.ravel())[0, 1] > 0.95
 
 
 @pytest.mark.slow
 def test_the_demo_is_written_by_its_command(tmp_path):
-    subprocess.run([sys.executable, "-m", "sfmkit.datasets.synthetic", "--write-demo", tmp_path], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "sfmkit.datasets.synthetic", "--write-demo", tmp_path], check=True
+    )
     for new, old in zip(("image1.jpg", "image2.jpg", "truth.json"), demo_pair()):
         if new.endswith("json"):
             assert json.loads((tmp_path / new).read_text()) == json.loads(old.read_text())

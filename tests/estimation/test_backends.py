@@ -68,7 +68,14 @@ def test_fundamental(which):
     fit = engine(which).estimate_fundamental(s.x1, s.x2, threshold_px=1.0)
     clean = make_scene(200, seed=5)
     assert float(sampson_distance(fit.model, clean.x1, clean.x2).abs().max()) < 1.0
-    assert float(sampson_distance(fundamental_from_pose(s.R, s.t, s.K1, s.K2), clean.x1, clean.x2).abs().max()) < 1e-9
+    assert (
+        float(
+            sampson_distance(fundamental_from_pose(s.R, s.t, s.K1, s.K2), clean.x1, clean.x2)
+            .abs()
+            .max()
+        )
+        < 1e-9
+    )
     assert int(fit.inliers[400:].sum()) > 350
 
 
@@ -129,7 +136,9 @@ def test_torch_history_rises_and_ends_in_the_result():
     assert fit.history[-1].stage == "refinement"
     assert torch.equal(fit.history[-1].model, fit.model)
     assert fit.history[-1].inliers == int(fit.inliers.sum())
-    assert fit.score == pytest.approx(float(essential_score(fit.model, s.x1, s.x2, s.K1, s.K2, 1.0)), rel=1e-9)
+    assert fit.score == pytest.approx(
+        float(essential_score(fit.model, s.x1, s.x2, s.K1, s.K2, 1.0)), rel=1e-9
+    )
 
 
 def test_torch_uses_ratios_and_operators_to_need_fewer_samples():
@@ -147,7 +156,8 @@ def test_torch_uses_ratios_and_operators_to_need_fewer_samples():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_torch_finds_the_pose_behind_a_bare_plane(seed):
-    """Other essential matrices fit the matches of a plane as well, but leave many of its points behind a camera."""
+    """Other essential matrices fit the matches of a plane as well, but leave many of its points
+    behind a camera."""
     s = make_scene(350, noise=0.5, seed=seed, planar=True)
     fit = robust.estimate_essential(s.x1, s.x2, s.K1, s.K2, seed=seed)
     xn1, xn2 = normalize(s.x1, s.K1)[fit.inliers], normalize(s.x2, s.K2)[fit.inliers]
@@ -155,7 +165,10 @@ def test_torch_finds_the_pose_behind_a_bare_plane(seed):
     assert int(counts.max()) > 0.95 * len(xn1)
     second = decompose_homography(fit_plane(s), s.K1, s.K2)  # a plane allows two motions
     allowed = [(s.R, s.t), *zip(*second[:2])]
-    assert min(float(torch.maximum(rotation_error(R, Q), translation_error(t, u))) for Q, u in allowed) < 3
+    assert (
+        min(float(torch.maximum(rotation_error(R, Q), translation_error(t, u))) for Q, u in allowed)
+        < 3
+    )
 
 
 def fit_plane(s):
@@ -164,11 +177,15 @@ def fit_plane(s):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_torch_solves_what_chance_samples_would_not(seed):
-    """6 % right: 10,000 samples hold one of four right matches with a probability of 12 %; neighbours tell."""
+    """6 % right: 10,000 samples hold one of four right matches with a probability of 12 %;
+    neighbours tell."""
     s = make_scene(4000, noise=0.3, outliers=0.94, planar=True, seed=seed)
     fit = robust.estimate_homography(s.x1, s.x2, seed=seed)
     true = homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2)
-    assert float((transfer(fit.model, s.x1[-240:]) - transfer(true, s.x1[-240:])).norm(dim=-1).mean()) < 0.3
+    assert (
+        float((transfer(fit.model, s.x1[-240:]) - transfer(true, s.x1[-240:])).norm(dim=-1).mean())
+        < 0.3
+    )
 
 
 def test_right_matches_agree_with_their_neighbours():
@@ -220,7 +237,9 @@ def test_score_is_differentiable_in_the_weights_and_everything_else():
     E = essential_from_pose(s.R, s.t).requires_grad_()
     w = torch.linspace(0.2, 1, 15, dtype=torch.float64).requires_grad_()
     x1 = s.x1.clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda E, x1, w: essential_score(E, x1, s.x2, s.K1, s.K2, 3.0, w), (E, x1, w))
+    assert torch.autograd.gradcheck(
+        lambda E, x1, w: essential_score(E, x1, s.x2, s.K1, s.K2, 3.0, w), (E, x1, w)
+    )
 
 
 @pytest.mark.cuda
@@ -240,5 +259,7 @@ def test_true_essential_matrix_scores_high():
 
 def test_quick_score_follows_the_marginal_score():
     v = torch.linspace(0, 1.5, 301)[:, None]
-    assert float((quick_scores(v, None) - marginal_score(v.double(), 1.0)[:, 0]).abs().max()) < 0.012
+    assert (
+        float((quick_scores(v, None) - marginal_score(v.double(), 1.0)[:, 0]).abs().max()) < 0.012
+    )
     assert torch.allclose(quick_scores(v.T, torch.ones(301)), quick_scores(v.T, None))

@@ -1,4 +1,5 @@
-"""What no estimate can be made of: a clear error, no model, or the verdict that the evidence is too little."""
+"""What no estimate can be made of: a clear error, no model, or the verdict that the evidence is too
+little."""
 
 from __future__ import annotations
 
@@ -53,7 +54,10 @@ WRONG = {
     "two precisions": (S.x1, S.x2.float()),
     "different counts": (S.x1, S.x2[:50]),
     "different batches": (S.x1[None].repeat(2, 1, 1), S.x2[None].repeat(3, 1, 1)),
-    "three columns": (torch.ones(100, 3, dtype=torch.float64), torch.ones(100, 3, dtype=torch.float64)),
+    "three columns": (
+        torch.ones(100, 3, dtype=torch.float64),
+        torch.ones(100, 3, dtype=torch.float64),
+    ),
     "one point": (S.x1[0], S.x2[0]),
     "arrays": (S.x1.numpy(), S.x2.numpy()),
 }
@@ -143,7 +147,8 @@ def test_the_covariance_says_what_refinement_cannot_know(name):
 
 
 @pytest.mark.parametrize(
-    "broken", [torch.zeros(3, 3), torch.diag(torch.tensor([800.0, 0.0, 1.0])), torch.full((3, 3), torch.nan)]
+    "broken",
+    [torch.zeros(3, 3), torch.diag(torch.tensor([800.0, 0.0, 1.0])), torch.full((3, 3), torch.nan)],
 )
 @pytest.mark.parametrize("which", ENGINES)
 def test_cameras_that_cannot_be(which, broken):
@@ -167,7 +172,9 @@ def test_a_million_pixels_from_the_origin_nothing_changes(which):
     K2[0, 1] = 0
     K1[:2, 2] += far
     K2[:2, 2] -= far
-    fit_E, fit_F, _ = (estimate() for estimate in estimates(engine(which), s.x1 + far, s.x2 - far, K1, K2))
+    fit_E, fit_F, _ = (
+        estimate() for estimate in estimates(engine(which), s.x1 + far, s.x2 - far, K1, K2)
+    )
     R, t = decompose_essential(fit_E.model)
     assert float(torch.maximum(rotation_error(R, s.R), translation_error(t, s.t)).min()) < 0.7
     assert int(fit_E.inliers[90:].sum()) > 190
@@ -206,11 +213,22 @@ def correspondences(x1, x2):
     zeros = torch.zeros(n, dtype=torch.int64)
     nan = torch.full((n,), float("nan"), dtype=torch.float64)
     return Correspondences(
-        x1, x2, nan, nan, zeros, zeros + 1, torch.arange(n), torch.arange(n), ("known",), {"known": OperatorCounts((n, n), n)}
-    )  # fmt: skip
+        x1,
+        x2,
+        nan,
+        nan,
+        zeros,
+        zeros + 1,
+        torch.arange(n),
+        torch.arange(n),
+        ("known",),
+        {"known": OperatorCounts((n, n), n)},
+    )
 
 
-@pytest.mark.parametrize("matches", [*UNDETERMINED.values(), copies(6)], ids=[*UNDETERMINED, "six, copied"])
+@pytest.mark.parametrize(
+    "matches", [*UNDETERMINED.values(), copies(6)], ids=[*UNDETERMINED, "six, copied"]
+)
 def test_the_verdict_is_too_little(matches):
     camera = Camera(K.numpy(), SIZE)
     view = estimate_two_view(correspondences(*matches), camera, camera)

@@ -30,12 +30,18 @@ def correspondences(x1, x2):
         torch.tensor(x2, dtype=torch.float64),
         torch.zeros(n, dtype=torch.float64),
         torch.full((n,), float("nan"), dtype=torch.float64),
-        zeros, zeros + 1, torch.arange(n), torch.arange(n), ("known",), {"known": OperatorCounts((n, n), n)},
-    )  # fmt: skip
+        zeros,
+        zeros + 1,
+        torch.arange(n),
+        torch.arange(n),
+        ("known",),
+        {"known": OperatorCounts((n, n), n)},
+    )
 
 
 def scene(kind, n=600, noise=0.5, outliers=0.3, seed=0):
-    """(correspondences, R, t): pixels of known points with Gaussian noise, and a share of uniformly wrong partners."""
+    """(correspondences, R, t): pixels of known points with Gaussian noise, and a share of uniformly
+    wrong partners."""
     rng = np.random.default_rng(seed)
     R, t = rotation([0.2, 1, 0.1], 8), np.array([-1.0, 0.1, 0.15])
     pixels = rng.uniform([60, 60], [SIZE[0] - 60, SIZE[1] - 60], (n, 2))
@@ -61,7 +67,10 @@ def degrees_between(a, b):
 def rotation_degrees(A, B):
     D = A.T @ B
     return np.degrees(
-        np.arctan2(np.linalg.norm([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]), np.trace(D) - 1)
+        np.arctan2(
+            np.linalg.norm([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]),
+            np.trace(D) - 1,
+        )
     )
 
 
@@ -86,7 +95,10 @@ def test_a_plane_is_planar_and_still_has_its_pose(seed):
     # A plane seen twice allows two motions, and nothing but the other one: the truth is among them.
     poses = [(view.R, view.t), *view.alternatives]
     assert len(poses) <= 2
-    assert min(rotation_degrees(Q.numpy(), R) + degrees_between(u.numpy(), t) / 5 for Q, u in poses) < 1.5
+    assert (
+        min(rotation_degrees(Q.numpy(), R) + degrees_between(u.numpy(), t) / 5 for Q, u in poses)
+        < 1.5
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -127,7 +139,9 @@ def test_two_cameras_of_different_focal_length():
 
 def test_the_fundamental_path_gives_a_pose_too():
     corr, R, _ = scene("depth", noise=0.2, outliers=0.2)
-    options = EstimateOptions(model="fundamental", backend="opencv", method="ransac", threshold_px=1.5, refine=False)
+    options = EstimateOptions(
+        model="fundamental", backend="opencv", method="ransac", threshold_px=1.5, refine=False
+    )
     view = estimate_two_view(corr, CAMERA, CAMERA, options)
     assert view.verdict is Verdict.GENERAL
     assert rotation_degrees(view.R.numpy(), R) < 2
@@ -140,7 +154,8 @@ def test_thresholds_must_be_positive():
 
 @pytest.mark.parametrize("seed", [12, 18])
 def test_unknown_distance_ratios_do_not_mislead_the_search(seed):
-    """Where no match knows its ratio, the order they give is no order: the search must not follow it."""
+    """Where no match knows its ratio, the order they give is no order: the search must not follow
+    it."""
     corr, R, _ = scene("depth", n=500, outliers=0.75, seed=seed)
     view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
     assert view.verdict is Verdict.GENERAL

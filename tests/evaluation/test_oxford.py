@@ -10,20 +10,33 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sfmkit.account import ALL
-from sfmkit.commands.bench import bench
+from sfmkit.cli.bench import bench
 from sfmkit.errors import InputError
 from sfmkit.evaluation.oxford import OURS, bench_oxford
 from sfmkit.evaluation.oxford_tables import estimates, sequence_rmse, solved, tables
-from sfmkit.evaluation.result import read_result
 from sfmkit.evaluation.rows import RowStore
+from sfmkit.pipeline.account import ALL
+from sfmkit.reports.result import read_result
 
-KEYS = {"sequence", "pair", "operator", "recipe", "seed", "rmse", "corner_error_px", "matches", "inliers", "seconds"}
+KEYS = {
+    "sequence",
+    "pair",
+    "operator",
+    "recipe",
+    "seed",
+    "rmse",
+    "corner_error_px",
+    "matches",
+    "inliers",
+    "seconds",
+}
 
 
 def textured(seed: int, size=(360, 300)) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    layers = [cv2.resize(rng.uniform(0, 255, (size[1] // s, size[0] // s)), size) for s in (4, 9, 25)]
+    layers = [
+        cv2.resize(rng.uniform(0, 255, (size[1] // s, size[0] // s)), size) for s in (4, 9, 25)
+    ]
     return np.clip(np.mean(layers, axis=0), 0, 255).astype(np.uint8)
 
 
@@ -54,10 +67,17 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     assert all(row.keys() >= KEYS for row in mine)
     ours = estimates(rows, operator=ALL, recipe=OURS)
     assert all(solved(r) and r["corner_error_px"] < 0.3 for r in ours if r["pair"] != "1-6")
-    assert all(r["rmse"] is None and r["inliers"] == 0 for r in ours if r["pair"] == "1-6"), "another scene"
+    assert all(r["rmse"] is None and r["inliers"] == 0 for r in ours if r["pair"] == "1-6"), (
+        "another scene"
+    )
     *_, every, of = sequence_rmse(ours, only_solved=True)
     assert (every, of) == (4, 5)
-    assert [row[1] for row in tables(rows)[0].rows] == ["the truth's floor", "multi", "orb", "fast-brief"]
+    assert [row[1] for row in tables(rows)[0].rows] == [
+        "the truth's floor",
+        "multi",
+        "orb",
+        "fast-brief",
+    ]
 
     # An interrupted run: the last pair is half-written.
     file = tmp_path / "rows.jsonl"
@@ -71,7 +91,9 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     def timeless(row):
         return {k: v for k, v in row.items() if not k.endswith("seconds")}
 
-    assert [timeless(r) for r in again] == [timeless(r) for r in rows], "the same seeds give the same rows"
+    assert [timeless(r) for r in again] == [timeless(r) for r in rows], (
+        "the same seeds give the same rows"
+    )
     with pytest.raises(InputError, match="was made with"):
         bench_oxford(tmp_path, **{**settings, "seeds": 3})
 
@@ -95,10 +117,23 @@ def test_command_prints_tables_and_draws_figures(small_set, tmp_path):
         warnings.simplefilter("ignore")
         done = CliRunner().invoke(
             bench,
-            ["oxford", "--data", str(small_set), "--out", str(tmp_path), "--operators", "orb", "--seeds", "1",
-             "--workers", "1", "--sequences", "graf"],
+            [
+                "oxford",
+                "--data",
+                str(small_set),
+                "--out",
+                str(tmp_path),
+                "--operators",
+                "orb",
+                "--seeds",
+                "1",
+                "--workers",
+                "1",
+                "--sequences",
+                "graf",
+            ],
             catch_exceptions=False,
-        )  # fmt: skip
+        )
     assert done.exit_code == 0, done.output
     assert "Table 4" in done.output
     assert "14.84" in done.output, "the paper's value for ORB on graf"
@@ -108,13 +143,16 @@ def test_command_prints_tables_and_draws_figures(small_set, tmp_path):
     (figure,) = result.figures
     picture = cv2.imread(str(tmp_path / figure.file))
     assert picture.std() > 10
-    assert json.loads((tmp_path / "rows.jsonl").read_text().splitlines()[0])["settings"]["operators"] == ["orb"]
+    assert json.loads((tmp_path / "rows.jsonl").read_text().splitlines()[0])["settings"][
+        "operators"
+    ] == ["orb"]
 
 
 @pytest.mark.data
 @pytest.mark.slow
 def test_fused_solves_what_drowns_plain_ransac(data_dir, tmp_path):
-    """Zoom with rotation, twice, and viewpoint: in every seed, and close to the best single operator."""
+    """Zoom with rotation, twice, and viewpoint: in every seed, and close to the best single
+    operator."""
     rows = bench_oxford(tmp_path, data=data_dir, sequences=["bark", "boat", "graf"], seeds=2)
     pairs = {(r["sequence"], r["pair"]) for r in estimates(rows)}
     for sequence, pair in pairs:
@@ -132,4 +170,7 @@ def test_fused_solves_what_drowns_plain_ransac(data_dir, tmp_path):
             )
             for o in ("surf", "orb", "fast-brief")
         ]
-        assert np.median([r["corner_error_px"] for r in fused]) <= 1.1 * min(singles) + 0.2, (sequence, pair)
+        assert np.median([r["corner_error_px"] for r in fused]) <= 1.1 * min(singles) + 0.2, (
+            sequence,
+            pair,
+        )

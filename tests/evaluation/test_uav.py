@@ -11,14 +11,22 @@ import torch
 from click.testing import CliRunner
 from PIL import Image
 
-from sfmkit.cloud import read_ply, write_ply
-from sfmkit.commands.bench import bench
+from sfmkit.cli.bench import bench
 from sfmkit.datasets.synthetic import render
 from sfmkit.errors import InputError
 from sfmkit.evaluation.paper import UAV
-from sfmkit.evaluation.result import read_result
-from sfmkit.evaluation.uav import SMALL, WIDE, bench_uav, inside_box, open_flight, parse_box, ply_name
+from sfmkit.evaluation.uav import (
+    SMALL,
+    WIDE,
+    bench_uav,
+    inside_box,
+    open_flight,
+    parse_box,
+    ply_name,
+)
 from sfmkit.geometry.reprojection import project
+from sfmkit.io.ply import read_ply, write_ply
+from sfmkit.reports.result import read_result
 
 SIZE = (480, 360)
 BOX = "100,80,300,260"
@@ -33,7 +41,8 @@ def photograph(path, pixels, focal_35mm=32) -> None:
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
-    """A flight of three: the courtyard's first photograph, its second, and the second again with other noise."""
+    """A flight of three: the courtyard's first photograph, its second, and the second again with
+    other noise."""
     root = tmp_path_factory.mktemp("data")
     folder = root / "uav" / "made-up"
     folder.mkdir(parents=True)
@@ -81,12 +90,14 @@ def test_it_goes_on_where_it_stopped(run, made_up):
 
 
 def test_anothers_cloud_is_laid_over_ours(run, made_up, tmp_path):
-    """Our own cloud, turned, shifted and scaled, comes back to its place: as many points in the box."""
+    """Our own cloud, turned, shifted and scaled, comes back to its place: as many points in the
+    box."""
     out, rows = run
     ours = read_ply(out / ply_name(SMALL, "default"))
     turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
     write_ply(
-        tmp_path / "other.ply", replace(ours, xyz=20 * ours.xyz @ turn.T + 3, covariance=None, operators=("orb",))
+        tmp_path / "other.ply",
+        replace(ours, xyz=20 * ours.xyz @ turn.T + 3, covariance=None, operators=("orb",)),
     )
     again = bench_uav(out, data=made_up, colmap=False, clouds=[tmp_path / "other.ply"], **SETTINGS)
     given = [r for r in again if r["kind"] == "given"]
@@ -95,12 +106,26 @@ def test_anothers_cloud_is_laid_over_ours(run, made_up, tmp_path):
     assert given[0]["target"] == pytest.approx(rows[0]["target"], rel=0.02)
     assert "scaled by 0.05" in given[0]["note"]
     moved = read_ply(out / ply_name(SMALL, "given-other"))
-    assert float((moved.xyz - ours.xyz).norm(dim=1).median()) < 0.01 * float(ours.xyz.norm(dim=1).median())
+    assert float((moved.xyz - ours.xyz).norm(dim=1).median()) < 0.01 * float(
+        ours.xyz.norm(dim=1).median()
+    )
 
 
 def test_the_command_and_its_tables(made_up, tmp_path):
-    arguments = ["uav", "--data", str(made_up), "--out", str(tmp_path), "--operators", "orb", "--presets", "default",
-                 "--no-colmap", "--box", BOX]  # fmt: skip
+    arguments = [
+        "uav",
+        "--data",
+        str(made_up),
+        "--out",
+        str(tmp_path),
+        "--operators",
+        "orb",
+        "--presets",
+        "default",
+        "--no-colmap",
+        "--box",
+        BOX,
+    ]
     done = CliRunner().invoke(bench, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     result = read_result(tmp_path)
@@ -109,19 +134,38 @@ def test_the_command_and_its_tables(made_up, tmp_path):
     for table, case in zip(result.tables, (SMALL, WIDE)):
         ours, theirs, micmac = table.rows
         assert ours[0] == "sfmkit, default preset"
-        assert (micmac[1], micmac[3], micmac[4]) == (UAV[case]["MicMac"][0], *UAV[case]["MicMac"][2:])
+        assert (micmac[1], micmac[3], micmac[4]) == (
+            UAV[case]["MicMac"][0],
+            *UAV[case]["MicMac"][2:],
+        )
     assert result.tables[1].rows[1][2] == 9.0, "0.15 minutes"
-    assert [f.file for f in result.figures] == ["target.png", "clouds-small-shift.png", "clouds-wide-baseline.png"]
+    assert [f.file for f in result.figures] == [
+        "target.png",
+        "clouds-small-shift.png",
+        "clouds-wide-baseline.png",
+    ]
     assert np.asarray(Image.open(tmp_path / "clouds-wide-baseline.png").convert("L")).std() > 10
 
 
 def test_without_pycolmap_the_line_says_so(made_up, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    arguments = ["uav", "--data", str(made_up), "--out", str(tmp_path), "--operators", "orb", "--presets", "default"]
+    arguments = [
+        "uav",
+        "--data",
+        str(made_up),
+        "--out",
+        str(tmp_path),
+        "--operators",
+        "orb",
+        "--presets",
+        "default",
+    ]
     done = CliRunner().invoke(bench, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "pip install 'sfmkit[peers]'" in " ".join(done.output.split())
-    kinds = [line for line in (tmp_path / "rows.jsonl").read_text().splitlines() if '"colmap"' in line]
+    kinds = [
+        line for line in (tmp_path / "rows.jsonl").read_text().splitlines() if '"colmap"' in line
+    ]
     assert not kinds, "it is tried again next time"
 
 
@@ -135,10 +179,12 @@ def test_colmap_runs_on_the_same_photographs(made_up, tmp_path):
     assert rows[0]["points"] > 30
     # COLMAP's cloud lies where ours does: in the frame of camera 1, in baselines.
     ours, theirs = (read_ply(tmp_path / ply_name(SMALL, what)) for what in ("default", "colmap-2"))
-    assert float(theirs.xyz[:, 2].median()) == pytest.approx(float(ours.xyz[:, 2].median()), rel=0.2)
+    assert float(theirs.xyz[:, 2].median()) == pytest.approx(
+        float(ours.xyz[:, 2].median()), rel=0.2
+    )
 
 
-# -- bad input --------------------------------------------------------------------------------------------------------
+# -- bad input
 
 
 @pytest.mark.parametrize(
@@ -195,12 +241,19 @@ def test_one_photograph_is_no_flight(tmp_path):
         open_flight(tmp_path, None, None)
 
 
-# -- the photographs --------------------------------------------------------------------------------------------------
+# -- the photographs
 
 
 @pytest.mark.data
 def test_the_roofs_at_a_third_of_their_size(data_dir, tmp_path):
-    rows = bench_uav(tmp_path, data=data_dir, presets=("default",), max_size=800, colmap=False, box="1290,70,1510,370")
+    rows = bench_uav(
+        tmp_path,
+        data=data_dir,
+        presets=("default",),
+        max_size=800,
+        colmap=False,
+        box="1290,70,1510,370",
+    )
     small = [r for r in rows if r["case"] == SMALL]
     wide = [r for r in rows if r["case"] == WIDE]
     assert len(small) == 4

@@ -1,4 +1,5 @@
-"""Simulated viewpoints: positions are those of the image, and a strong tilt is matched that plain SIFT cannot match."""
+"""Simulated viewpoints: positions are those of the image, and a strong tilt is matched that plain
+SIFT cannot match."""
 
 from __future__ import annotations
 
@@ -7,15 +8,17 @@ import numpy as np
 import pytest
 
 from sfmkit.errors import InputError, OperatorError
-from sfmkit.evaluation.metrics import match_errors
 from sfmkit.features import detect
 from sfmkit.features.affine import tilted, views
-from sfmkit.matching import match
+from sfmkit.matching.nearest import match
+from sfmkit.metrics import match_errors
 
 
 def textured(seed: int, size=(400, 320)) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    layers = [cv2.resize(rng.uniform(0, 255, (size[1] // s, size[0] // s)), size) for s in (4, 9, 25)]
+    layers = [
+        cv2.resize(rng.uniform(0, 255, (size[1] // s, size[0] // s)), size) for s in (4, 9, 25)
+    ]
     return np.clip(np.mean(layers, axis=0), 0, 255).astype(np.uint8)
 
 
@@ -45,7 +48,9 @@ def test_a_blob_keeps_its_place_in_every_view():
 def test_a_strong_tilt_is_matched():
     first = textured(3, (240, 200))
     H = np.array([[0.30, 0.05, 80], [-0.05, 0.9, 12], [0, 0, 1.0]])  # a view about 70 degrees off
-    second = cv2.warpPerspective(cv2.GaussianBlur(first, (0, 0), sigmaX=2.5, sigmaY=0.01), H, (240, 200))
+    second = cv2.warpPerspective(
+        cv2.GaussianBlur(first, (0, 0), sigmaX=2.5, sigmaY=0.01), H, (240, 200)
+    )
     right = {}
     for name in ("sift", "affine-sift"):
         f1, f2 = (detect(image, name, contrastThreshold=0.02) for image in (first, second))

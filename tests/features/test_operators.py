@@ -1,4 +1,5 @@
-"""Feature operators against OpenCV itself, against known positions, and on images that ask for trouble."""
+"""Feature operators against OpenCV itself, against known positions, and on images that ask for
+trouble."""
 
 from __future__ import annotations
 
@@ -11,7 +12,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sfmkit.errors import InputError, OperatorError
-from sfmkit.features import DESCRIPTORS, DETECTORS, OPERATORS, available, detect, list_operators, operator_spec
+from sfmkit.features import (
+    DESCRIPTORS,
+    DETECTORS,
+    OPERATORS,
+    available,
+    detect,
+    list_operators,
+    operator_spec,
+)
 from sfmkit.features import operators as operators_module
 from sfmkit.features.subpixel import fast_score, paraboloid_top
 
@@ -31,11 +40,15 @@ def texture(height: int = 300, width: int = 400, seed: int = 0) -> np.ndarray:
     return np.clip(image + 128, 0, 255).astype(np.uint8)
 
 
-def blobs(height: int, width: int, sigma: float, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def blobs(
+    height: int, width: int, sigma: float, n: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Gaussian blobs at known centres (n, 2), between pixels."""
     rng = np.random.default_rng(seed)
     step = int(14 * sigma)
-    cells = [(x, y) for y in range(step, height - step, step) for x in range(step, width - step, step)][:n]
+    cells = [
+        (x, y) for y in range(step, height - step, step) for x in range(step, width - step, step)
+    ][:n]
     centres = np.array(cells) + rng.uniform(0, 1, (len(cells), 2))
     y, x = np.mgrid[:height, :width]
     image = np.full((height, width), 60.0)
@@ -52,7 +65,12 @@ def nearest(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 def cv_arrays(keypoints) -> tuple[np.ndarray, ...]:
     return tuple(
         np.array([get(k) for k in keypoints], np.float32)
-        for get in (lambda k: k.pt, lambda k: k.size, lambda k: np.deg2rad(max(k.angle, 0)), lambda k: k.response)
+        for get in (
+            lambda k: k.pt,
+            lambda k: k.size,
+            lambda k: np.deg2rad(max(k.angle, 0)),
+            lambda k: k.response,
+        )
     )
 
 
@@ -61,12 +79,25 @@ def image() -> np.ndarray:
     return texture()
 
 
-# -- every operator ---------------------------------------------------------------------------------------------------
+# -- every operator
 
 COMPOSED = (
-    "fast+freak", "agast+latch", "star+daisy", "harris+sift", "orb+freak", "sift+brief", "mser+rootsift", "fast+beblid",
-    "gftt+teblid", "brisk+orb", "akaze+brisk", "sift+rootsift", "fast+surf", "surf+brief", "star+vgg",
-)  # fmt: skip
+    "fast+freak",
+    "agast+latch",
+    "star+daisy",
+    "harris+sift",
+    "orb+freak",
+    "sift+brief",
+    "mser+rootsift",
+    "fast+beblid",
+    "gftt+teblid",
+    "brisk+orb",
+    "akaze+brisk",
+    "sift+rootsift",
+    "fast+surf",
+    "surf+brief",
+    "star+vgg",
+)
 
 
 @pytest.mark.parametrize("name", [*OPERATORS, *COMPOSED])
@@ -95,7 +126,9 @@ def test_every_operator_gives_sound_features_and_the_same_bits_again(name, image
 @pytest.mark.parametrize("name", ["sift", "orb", "akaze", "kaze", "brisk"])
 def test_native_operators_are_opencv_to_the_bit(name, image):
     settings = {k: v for k, v in OPERATORS[name].options.items() if k != "subpixel"}
-    create = getattr(cv2, f"{name.upper()}_create", None) or getattr(contrib, f"{name.upper()}_create")
+    create = getattr(cv2, f"{name.upper()}_create", None) or getattr(
+        contrib, f"{name.upper()}_create"
+    )
     keypoints, descriptors = create(**settings).detectAndCompute(image, None)
     xy, sizes, angles, scores = cv_arrays(keypoints)
     f = detect(image, name, preset="paper")
@@ -127,16 +160,25 @@ def test_upright_keypoints_are_described_upright_not_at_minus_one_degree(image):
     keypoints = cv2.FastFeatureDetector_create().detect(image)
     for k in keypoints:
         k.angle = 0
-    _, descriptors = cv2.SIFT_create(contrastThreshold=0.01, enable_precise_upscale=True).compute(image, keypoints)
+    _, descriptors = cv2.SIFT_create(contrastThreshold=0.01, enable_precise_upscale=True).compute(
+        image, keypoints
+    )
     np.testing.assert_array_equal(detect(image, "fast+sift").descriptors, descriptors)
 
 
 def test_the_paper_settings():
     assert OPERATORS["surf"].options["hessian_threshold"] == 30
     assert {**OPERATORS["orb"].options, **OPERATORS["orb"].paper}.items() >= {
-        "nfeatures": 35_000, "fastThreshold": 7, "nlevels": 8, "scaleFactor": 1.2, "subpixel": False,
-    }.items()  # fmt: skip
-    assert OPERATORS["fast-brief"].options["threshold"] == cv2.FastFeatureDetector_create().getThreshold()
+        "nfeatures": 35_000,
+        "fastThreshold": 7,
+        "nlevels": 8,
+        "scaleFactor": 1.2,
+        "subpixel": False,
+    }.items()
+    assert (
+        OPERATORS["fast-brief"].options["threshold"]
+        == cv2.FastFeatureDetector_create().getThreshold()
+    )
     assert OPERATORS["fast-brief"].paper == {"subpixel": False}
 
 
@@ -158,22 +200,33 @@ def test_rootsift_is_the_square_root_of_sift_and_its_product_is_hellingers(image
     np.testing.assert_allclose(root.descriptors, np.sqrt(p), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(root.descriptors, axis=1), 1, atol=1e-5)
     hellinger = 2 - 2 * np.sqrt(p[0] * p[1]).sum()
-    assert np.sum((root.descriptors[0] - root.descriptors[1]) ** 2) == pytest.approx(hellinger, abs=1e-5)
+    assert np.sum((root.descriptors[0] - root.descriptors[1]) ** 2) == pytest.approx(
+        hellinger, abs=1e-5
+    )
 
 
-# -- rotation ---------------------------------------------------------------------------------------------------------
+# -- rotation
 
 
 @pytest.mark.parametrize(
     "name, options",
     [
-        ("orb", {"nfeatures": 3000}), ("sift", {}), ("akaze", {}), ("brisk", {}), ("kaze", {}), ("fast+freak", {}),
-        ("fast-brief", {"oriented": True}), ("fast+daisy", {"oriented": True}), ("gftt+latch", {"oriented": True}),
+        ("orb", {"nfeatures": 3000}),
+        ("sift", {}),
+        ("akaze", {}),
+        ("brisk", {}),
+        ("kaze", {}),
+        ("fast+freak", {}),
+        ("fast-brief", {"oriented": True}),
+        ("fast+daisy", {"oriented": True}),
+        ("gftt+latch", {"oriented": True}),
     ],
-)  # fmt: skip
+)
 def test_a_quarter_turn_turns_keypoints_and_orientations(name, options):
     image = texture(384, 384)
-    turned = np.ascontiguousarray(np.rot90(image, -1))  # clockwise on screen: (x, y) -> (H - 1 - y, x)
+    turned = np.ascontiguousarray(
+        np.rot90(image, -1)
+    )  # clockwise on screen: (x, y) -> (H - 1 - y, x)
     f, g = detect(image, name, **options), detect(turned, name, **options)
     norm = cv2.NORM_L2 if f.norm == "l2" else cv2.NORM_HAMMING
     matches = cv2.BFMatcher(norm, crossCheck=True).match(f.descriptors, g.descriptors)
@@ -188,17 +241,25 @@ def test_a_quarter_turn_turns_keypoints_and_orientations(name, options):
 
 def test_upright_operators_do_not_follow_a_rotation():
     image = texture(384, 384)
-    f, g = detect(image, "fast-brief"), detect(np.ascontiguousarray(np.rot90(image, -1)), "fast-brief")
+    f, g = (
+        detect(image, "fast-brief"),
+        detect(np.ascontiguousarray(np.rot90(image, -1)), "fast-brief"),
+    )
     assert (f.angles == 0).all()
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(f.descriptors, g.descriptors)
     off = [
-        np.hypot(*(g.keypoints[m.trainIdx] - (383 - f.keypoints[m.queryIdx, 1], f.keypoints[m.queryIdx, 0])))
+        np.hypot(
+            *(
+                g.keypoints[m.trainIdx]
+                - (383 - f.keypoints[m.queryIdx, 1], f.keypoints[m.queryIdx, 0])
+            )
+        )
         for m in matches
     ]
     assert np.mean(np.array(off) < 1) < 0.3
 
 
-# -- positions --------------------------------------------------------------------------------------------------------
+# -- positions
 
 
 @pytest.mark.parametrize("name", ["sift", "akaze", "kaze"])
@@ -225,7 +286,8 @@ def test_scales_do_not_depend_on_the_working_size():
 
 @pytest.mark.parametrize("name", ["fast-brief", "harris-brief", "gftt-brief", "orb", "sift"])
 def test_no_operator_prefers_a_side(name):
-    """A half turn of the image must turn the keypoints about the same centre: twice any bias would remain."""
+    """A half turn of the image must turn the keypoints about the same centre: twice any bias would
+    remain."""
     image = texture(411, 533)  # sizes that the pyramid does not divide
     half_turn = np.ascontiguousarray(image[::-1, ::-1])
     f, g = detect(image, name), detect(half_turn, name)
@@ -253,23 +315,34 @@ def test_fast_score_is_opencvs(image):
 def test_paraboloid_top_finds_the_vertex_and_keeps_still_where_there_is_none():
     y, x = np.mgrid[-1:2, -1:2]
     vertex = np.array([[-0.4, 0.2], [0.0, 0.0], [0.3, -0.1]])
-    values = [7 - 2 * (x - u) ** 2 - 1.5 * (y - v) ** 2 + 0.8 * (x - u) * (y - v) for u, v in vertex]
+    values = [
+        7 - 2 * (x - u) ** 2 - 1.5 * (y - v) ** 2 + 0.8 * (x - u) * (y - v) for u, v in vertex
+    ]
     np.testing.assert_allclose(paraboloid_top(np.stack(values, axis=-1)), vertex, atol=1e-12)
     flat, valley, saddle = np.ones((3, 3)), 1.0 * x**2 + y**2, 1.0 * x**2 - y**2 + 0.1 * x
     np.testing.assert_array_equal(paraboloid_top(np.stack([flat, valley, saddle], axis=-1)), 0)
-    np.testing.assert_array_equal(paraboloid_top((5.0 * x - 0.1 * x**2 - y**2)[..., None]), [[0.5, 0]])
+    np.testing.assert_array_equal(
+        paraboloid_top((5.0 * x - 0.1 * x**2 - y**2)[..., None]), [[0.5, 0]]
+    )
 
 
-@pytest.mark.parametrize("name, options", [
-    ("fast-brief", {}), ("gftt-brief", {"qualityLevel": 0.01}), ("harris-brief", {"qualityLevel": 0.001}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, options",
+    [
+        ("fast-brief", {}),
+        ("gftt-brief", {"qualityLevel": 0.01}),
+        ("harris-brief", {"qualityLevel": 0.001}),
+    ],
+)
 def test_subpixel_follows_a_shift_of_half_a_pixel(name, options):
     rng = np.random.default_rng(0)
     large = np.full((3200, 4160), 90, np.float32)
     for x, y, w, h in rng.integers((0, 0, 100, 100), (4160, 3200, 600, 600), (500, 4)):
         large[y : y + h, x : x + w] = rng.uniform(20, 235)
     large = np.round(cv2.GaussianBlur(large, (0, 0), 6)).astype(np.uint8)
-    views = [cv2.resize(large[:, x : x + 4000], (500, 400), interpolation=cv2.INTER_AREA) for x in (0, 4)]
+    views = [
+        cv2.resize(large[:, x : x + 4000], (500, 400), interpolation=cv2.INTER_AREA) for x in (0, 4)
+    ]
 
     def error(subpixel: bool) -> np.ndarray:
         f, g = (detect(view, name, subpixel=subpixel, **options).keypoints for view in views)
@@ -287,17 +360,26 @@ def test_subpixel_follows_a_shift_of_half_a_pixel(name, options):
 @pytest.mark.parametrize("name", ["fast-brief", "gftt-brief", "harris-brief", "orb"])
 def test_subpixel_brings_real_matches_closer_to_the_true_epipolar_lines(name, data_dir):
     folder = data_dir / "strecha" / "fountain-P11"
-    images = [cv2.imread(str(folder / "images" / f"000{i}.jpg"), cv2.IMREAD_GRAYSCALE) for i in (0, 1)]
+    images = [
+        cv2.imread(str(folder / "images" / f"000{i}.jpg"), cv2.IMREAD_GRAYSCALE) for i in (0, 1)
+    ]
     assert images[0] is not None
     assert images[1] is not None
-    K, R, C = zip(*(_camera(next((folder / "gt_dense_cameras").glob(f"000{i}*.camera"))) for i in (0, 1)))
+    K, R, C = zip(
+        *(_camera(next((folder / "gt_dense_cameras").glob(f"000{i}*.camera"))) for i in (0, 1))
+    )
     t = R[1] @ (C[0] - C[1])
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     F_mat = np.linalg.inv(K[1]).T @ cross @ R[1] @ R[0].T @ np.linalg.inv(K[0])
     share = {}
     for subpixel in (False, True):
-        f, g = (detect(im, name, subpixel=subpixel, **({"nfeatures": 8000} if name == "orb" else {})) for im in images)
-        matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(f.descriptors, g.descriptors)
+        f, g = (
+            detect(im, name, subpixel=subpixel, **({"nfeatures": 8000} if name == "orb" else {}))
+            for im in images
+        )
+        matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+            f.descriptors, g.descriptors
+        )
         x1 = np.array([(*f.keypoints[m.queryIdx], 1) for m in matches], float)
         x2 = np.array([(*g.keypoints[m.trainIdx], 1) for m in matches], float)
         line = x1 @ F_mat.T
@@ -306,11 +388,13 @@ def test_subpixel_brings_real_matches_closer_to_the_true_epipolar_lines(name, da
 
 
 def _camera(path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows = [list(map(float, line.split())) for line in path.read_text().splitlines() if line.strip()]
+    rows = [
+        list(map(float, line.split())) for line in path.read_text().splitlines() if line.strip()
+    ]
     return np.array(rows[:3]), np.array(rows[4:7]).T, np.array(rows[7])
 
 
-# -- images -----------------------------------------------------------------------------------------------------------
+# -- images
 
 
 def test_colour_grey_and_image_objects_agree():
@@ -327,9 +411,19 @@ def test_colour_grey_and_image_objects_agree():
         np.testing.assert_array_equal(detect(given, "orb").descriptors, expected.descriptors)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 5), (8, 8), (17, 17), (1, 300), (40, 40), (300, 400)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (2, 2), (3, 5), (8, 8), (17, 17), (1, 300), (40, 40), (300, 400)]
+)
 def test_blank_and_tiny_images_give_empty_features_of_the_right_shapes(shape):
-    for name in (*OPERATORS, "star+daisy", "mser+sift", "agast+latch", "fast+vgg", "sift+orb", "fast+surf"):
+    for name in (
+        *OPERATORS,
+        "star+daisy",
+        "mser+sift",
+        "agast+latch",
+        "fast+vgg",
+        "sift+orb",
+        "fast+surf",
+    ):
         if not available(name)[0]:
             continue
         spec = operator_spec(name)
@@ -342,7 +436,9 @@ def test_blank_and_tiny_images_give_empty_features_of_the_right_shapes(shape):
         assert detect(noise, name, budget=5).size_wh == shape[::-1]
 
 
-@pytest.mark.parametrize("name", ["surf", "orb", "fast-brief", "gftt-brief", "agast+latch", "akaze"])
+@pytest.mark.parametrize(
+    "name", ["surf", "orb", "fast-brief", "gftt-brief", "agast+latch", "akaze"]
+)
 def test_images_40_000_pixels_wide_or_high(name):
     strip = texture(80, 40_000)
     for image in (strip, np.ascontiguousarray(strip.T)):
@@ -365,24 +461,32 @@ def test_images_40_000_pixels_wide_slow_operators(name):
 @pytest.mark.parametrize(
     "bad, hint",
     [
-        (None, "read_image"), ("photo.jpg", "read_image"), ([[1, 2]], "array"), (np.zeros((4, 4)), "uint8"),
-        (np.zeros((4, 4), np.uint16), "uint8"), (np.zeros((4, 4, 4), np.uint8), "RGB"), (np.zeros(5, np.uint8), "H, W"),
-        (np.zeros((0, 4), np.uint8), "one pixel"), (np.zeros((2, 4, 4, 3), np.uint8), "H, W"),
+        (None, "read_image"),
+        ("photo.jpg", "read_image"),
+        ([[1, 2]], "array"),
+        (np.zeros((4, 4)), "uint8"),
+        (np.zeros((4, 4), np.uint16), "uint8"),
+        (np.zeros((4, 4, 4), np.uint8), "RGB"),
+        (np.zeros(5, np.uint8), "H, W"),
+        (np.zeros((0, 4), np.uint8), "one pixel"),
+        (np.zeros((2, 4, 4, 3), np.uint8), "H, W"),
     ],
-)  # fmt: skip
+)
 def test_unusable_images_are_refused(bad, hint):
     with pytest.raises(InputError, match=hint):
         detect(bad, "orb")
 
 
-# -- budget, mask, size -----------------------------------------------------------------------------------------------
+# -- budget, mask, size
 
 
 @pytest.mark.parametrize("name", ["orb", "fast-brief", "sift"])
 def test_budget_is_kept_and_chooses_from_the_same_features(name, image):
     everything, few = detect(image, name), detect(image, name, budget=50)
     assert len(few) == 50
-    every = {(*k, *d) for k, d in zip(everything.keypoints.tolist(), everything.descriptors.tolist())}
+    every = {
+        (*k, *d) for k, d in zip(everything.keypoints.tolist(), everything.descriptors.tolist())
+    }
     assert all((*k, *d) in every for k, d in zip(few.keypoints.tolist(), few.descriptors.tolist()))
     assert len(detect(image, name, budget=10**6)) == len(everything)
 
@@ -407,15 +511,27 @@ def test_mask_keeps_what_it_covers_and_nothing_else(image):
 @pytest.mark.parametrize(
     "options, hint",
     [
-        ({"budget": 0}, "budget"), ({"budget": -3}, "budget"), ({"budget": 2.5}, "budget"), ({"budget": True}, "budget"),
-        ({"max_size": 0}, "max_size"), ({"max_size": "big"}, "max_size"), ({"mask": np.ones((3, 3))}, "mask"),
-        ({"preset": "best"}, "preset"), ({"hessian_threshold": 3}, "fastThreshold=7"),
-        ({"nfeatures": -1}, "nfeatures"), ({"nfeatures": 2.5}, "nfeatures"), ({"nfeatures": True}, "nfeatures"),
-        ({"scaleFactor": float("nan")}, "scaleFactor"), ({"scaleFactor": "1.2"}, "scaleFactor"),
-        ({"subpixel": 1}, "True or False"), ({"nlevels": 0}, "from 1 to 16"), ({"scaleFactor": 1.0}, "from 1.01"),
-        ({"nfeatures": 10**12}, "does not accept"), ({"patchSize": 0}, "could not run|does not accept"),
+        ({"budget": 0}, "budget"),
+        ({"budget": -3}, "budget"),
+        ({"budget": 2.5}, "budget"),
+        ({"budget": True}, "budget"),
+        ({"max_size": 0}, "max_size"),
+        ({"max_size": "big"}, "max_size"),
+        ({"mask": np.ones((3, 3))}, "mask"),
+        ({"preset": "best"}, "preset"),
+        ({"hessian_threshold": 3}, "fastThreshold=7"),
+        ({"nfeatures": -1}, "nfeatures"),
+        ({"nfeatures": 2.5}, "nfeatures"),
+        ({"nfeatures": True}, "nfeatures"),
+        ({"scaleFactor": float("nan")}, "scaleFactor"),
+        ({"scaleFactor": "1.2"}, "scaleFactor"),
+        ({"subpixel": 1}, "True or False"),
+        ({"nlevels": 0}, "from 1 to 16"),
+        ({"scaleFactor": 1.0}, "from 1.01"),
+        ({"nfeatures": 10**12}, "does not accept"),
+        ({"patchSize": 0}, "could not run|does not accept"),
     ],
-)  # fmt: skip
+)
 def test_bad_options_are_refused_with_what_to_do(options, hint, image):
     with pytest.raises(InputError, match=hint):
         detect(image, "orb", **options)
@@ -425,21 +541,33 @@ def test_options_reach_detector_and_descriptor(image):
     assert len(detect(image, "orb", nfeatures=100)) <= 101
     assert detect(image, "fast-brief", bytes=64).descriptors.shape[1] == 64
     assert len(detect(image, "fast-brief", threshold=40)) < len(detect(image, "fast-brief"))
-    assert len(detect(image, "sift", contrastThreshold=np.float64(0.04))) < len(detect(image, "sift"))
+    assert len(detect(image, "sift", contrastThreshold=np.float64(0.04))) < len(
+        detect(image, "sift")
+    )
 
 
-# -- names ------------------------------------------------------------------------------------------------------------
+# -- names
 
 
 @pytest.mark.parametrize(
     "name, hint",
     [
-        ("surff", "Did you mean 'surf'"), ("fast_brief", "Did you mean 'fast-brief'"), ("orbb+brief", "detector 'orbb'"),
-        ("fast+breif", "descriptor 'breif'"), ("fast+akaze", "akaze keypoints only"), ("akaze+kaze", "kaze keypoints only"),
-        ("fast+lucid", "colour"), ("msd+brief", "crashes"), ("fast", "fast\\+brief"), ("freak", "fast\\+freak"),
-        ("fast+xfeat", "xfeat keypoints only"), ("xfeat+brief", "no size"), ("", "unknown"), ("+", "unknown"),
+        ("surff", "Did you mean 'surf'"),
+        ("fast_brief", "Did you mean 'fast-brief'"),
+        ("orbb+brief", "detector 'orbb'"),
+        ("fast+breif", "descriptor 'breif'"),
+        ("fast+akaze", "akaze keypoints only"),
+        ("akaze+kaze", "kaze keypoints only"),
+        ("fast+lucid", "colour"),
+        ("msd+brief", "crashes"),
+        ("fast", "fast\\+brief"),
+        ("freak", "fast\\+freak"),
+        ("fast+xfeat", "xfeat keypoints only"),
+        ("xfeat+brief", "no size"),
+        ("", "unknown"),
+        ("+", "unknown"),
     ],
-)  # fmt: skip
+)
 def test_names_that_are_no_operator(name, hint, image):
     with pytest.raises(OperatorError, match=hint):
         detect(image, name)
@@ -450,7 +578,9 @@ def test_every_pair_of_the_two_tables_resolves_or_says_why():
     for detector in DETECTORS:
         for descriptor in DESCRIPTORS:
             name = f"{detector}+{descriptor}"
-            if DESCRIPTORS[descriptor].only_with not in (None, detector) or (detector == "xfeat" != descriptor):
+            if DESCRIPTORS[descriptor].only_with not in (None, detector) or (
+                detector == "xfeat" != descriptor
+            ):
                 with pytest.raises(OperatorError, match=r"does not fit: .*(because|no size)"):
                     operator_spec(name)
                 continue
@@ -507,7 +637,11 @@ def test_learned_weights_load_without_a_word(image, capfd):
 
 def test_threads_side_by_side_change_nothing(image):
     other = texture(seed=1)
-    jobs = [(im, name) for im in (image, other) for name in ("orb", "fast-brief", "sift", "akaze", "fast+freak")]
+    jobs = [
+        (im, name)
+        for im in (image, other)
+        for name in ("orb", "fast-brief", "sift", "akaze", "fast+freak")
+    ]
     alone = [detect(*job).descriptors for job in jobs]
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda job: detect(*job).descriptors, jobs))

@@ -1,4 +1,5 @@
-"""Even selection against its definition, computed the slow way, and against the strongest-first choice."""
+"""Even selection against its definition, computed the slow way, and against the strongest-first
+choice."""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ def radii_by_definition(points: np.ndarray, scores: np.ndarray, robustness: floa
     robustness=st.sampled_from([1, 0.9, 0.5]),
     seed=st.integers(0, 99),
 )
-def test_radii_are_the_distance_to_the_nearest_clearly_stronger_one(n, levels, grid, robustness, seed):
+def test_radii_are_the_distance_to_the_nearest_clearly_stronger_one(
+    n, levels, grid, robustness, seed
+):
     """With ties in strength (few levels) and in place (a coarse grid)."""
     rng = np.random.default_rng(seed)
     points = rng.integers(0, grid, (n, 2)) * (600.0 / grid)
@@ -56,7 +59,9 @@ def crowded(n: int = 4000) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     corner = rng.uniform((0, 0), (150, 150), (n // 2, 2))
     rest = rng.uniform((0, 0), SIZE, (n // 2, 2))
-    return np.concatenate([corner, rest]), np.concatenate([rng.uniform(5, 9, n // 2), rng.uniform(1, 5, n // 2)])
+    return np.concatenate([corner, rest]), np.concatenate(
+        [rng.uniform(5, 9, n // 2), rng.uniform(1, 5, n // 2)]
+    )
 
 
 def coverage(points: np.ndarray) -> float:
@@ -72,7 +77,9 @@ def test_selection_covers_the_image_where_strongest_first_does_not():
     assert coverage(points[strongest]) < 0.1
     assert coverage(points[even]) > 0.5
     assert np.argmax(scores) in even
-    away = points[:, 0] > 200  # where scores are uniform between 1 and 5, the choice is of strong ones
+    away = (
+        points[:, 0] > 200
+    )  # where scores are uniform between 1 and 5, the choice is of strong ones
     assert scores[even][away[even]].mean() > scores[away].mean() + 0.5
 
 
@@ -90,7 +97,9 @@ def test_selection_does_not_depend_on_the_order_of_the_input():
     points, scores = crowded(1000)
     shuffle = np.random.default_rng(1).permutation(1000)
     chosen = select_evenly(points, scores, 100, SIZE)
-    np.testing.assert_array_equal(np.sort(shuffle[select_evenly(points[shuffle], scores[shuffle], 100, SIZE)]), chosen)
+    np.testing.assert_array_equal(
+        np.sort(shuffle[select_evenly(points[shuffle], scores[shuffle], 100, SIZE)]), chosen
+    )
 
 
 @pytest.mark.parametrize(
@@ -111,7 +120,8 @@ def test_bad_input_is_refused(points, scores, budget, hint):
 
 @pytest.mark.parametrize("kind", ["random", "constant", "ramp"])
 def test_the_cost_does_not_depend_on_how_strengths_lie(kind):
-    """50,000 keypoints take a quarter of a second; looking through neighbours takes 30 s on a ramp."""
+    """50,000 keypoints take a quarter of a second; looking through neighbours takes 30 s on a
+    ramp."""
     rng = np.random.default_rng(0)
     points = rng.uniform((0, 0), (3072, 2048), (50_000, 2))
     scores = {"random": rng.random(50_000), "constant": np.ones(50_000), "ramp": points[:, 0]}[kind]

@@ -1,4 +1,5 @@
-"""SURF against what OpenCV's C++ finds, and on images whose blobs, gradients and symmetries are known."""
+"""SURF against what OpenCV's C++ finds, and on images whose blobs, gradients and symmetries are
+known."""
 
 from __future__ import annotations
 
@@ -27,7 +28,11 @@ def texture(height: int = 240, width: int = 320, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     image = sum(
         40
-        * cv2.resize(rng.normal(size=(height // c + 2, width // c + 2)), (width, height), interpolation=cv2.INTER_CUBIC)
+        * cv2.resize(
+            rng.normal(size=(height // c + 2, width // c + 2)),
+            (width, height),
+            interpolation=cv2.INTER_CUBIC,
+        )
         for c in (5, 12, 30)
     )
     return np.clip(image + 128, 0, 255).astype(np.uint8)
@@ -35,7 +40,11 @@ def texture(height: int = 240, width: int = 320, seed: int = 0) -> np.ndarray:
 
 def blob(x: float, y: float, sigma: float, peak: float = 120, size: int = 200) -> np.ndarray:
     v, u = np.mgrid[:size, :size]
-    return np.rint(120 + peak * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * sigma**2))).clip(0, 255).astype(np.uint8)
+    return (
+        np.rint(120 + peak * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * sigma**2)))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
 
 
 def partners(xy, size, others, other_sizes) -> np.ndarray:
@@ -57,7 +66,9 @@ def turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_finds_and_describes_what_opencv_does(data_dir, name, threshold):
     image = cv2.imread(str(data_dir / REFERENCES[name]), cv2.IMREAD_GRAYSCALE)
     if name.endswith("half"):
-        image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(
+            image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA
+        )
     with np.load(data_dir / "surf_reference" / f"{name}_h{threshold}.npz") as file:
         reference = dict(file)
     ours = surf(image, hessian_threshold=threshold)
@@ -69,14 +80,17 @@ def test_finds_and_describes_what_opencv_does(data_dir, name, threshold):
     assert np.abs(ours.keypoints[there] - reference["keypoints"][pair]).max() < 0.01
     np.testing.assert_allclose(ours.scores[there], reference["response"][pair], rtol=1e-3)
     np.testing.assert_array_equal(ours.laplacian[there], reference["laplacian_sign"][pair])
-    assert np.median(np.abs(turn(np.radians(reference["angle_deg"][pair]), ours.angles[there]))) < np.radians(0.1)
+    assert np.median(
+        np.abs(turn(np.radians(reference["angle_deg"][pair]), ours.angles[there]))
+    ) < np.radians(0.1)
     cosine = (ours.descriptors[there] * reference["descriptors"][pair].astype(np.float32)).sum(1)
     assert np.median(cosine) > 0.998
     assert np.quantile(cosine, 0.1) > 0.99
 
 
 def best_lobe(sigma: float) -> float:
-    """Width k of the lobes, k x 5k/3, whose Dxx is largest on a Gaussian blob, in closed form: there Dxx = Dyy."""
+    """Width k of the lobes, k x 5k/3, whose Dxx is largest on a Gaussian blob, in closed form:
+    there Dxx = Dyy."""
     k = np.linspace(1, 8 * sigma, 4000)
     middle, three = erf(k / 2 / np.sqrt(2) / sigma), erf(3 * k / 2 / np.sqrt(2) / sigma)
     height = erf(5 * k / 6 / np.sqrt(2) / sigma) / k
@@ -108,7 +122,8 @@ def _box(size: int, kind: str) -> np.ndarray:
 
 
 def test_maxima_are_those_of_a_plain_search():
-    """Every octave, with filters written out in full and a search that looks at each sample in turn."""
+    """Every octave, with filters written out in full and a search that looks at each sample in
+    turn."""
     image = texture(150, 170, seed=3)
     found = fast_hessian(torch.from_numpy(cv2.integral(image)), 50.0, 2, 3)
     plain = []
@@ -116,8 +131,10 @@ def test_maxima_are_those_of_a_plain_search():
         step, sizes = 1 << octave, [(9 + 6 * i) << octave for i in range(5)]
         det, shifts = [], []
         for size in sizes:
-            xx, yy, xy = (cv2.filter2D(image.astype(np.float64), -1, k, anchor=(size // 2, size // 2))
-                          for k in (_box(size, "xx"), _box(size, "xx").T, _box(size, "xy")))  # fmt: skip
+            xx, yy, xy = (
+                cv2.filter2D(image.astype(np.float64), -1, k, anchor=(size // 2, size // 2))
+                for k in (_box(size, "xx"), _box(size, "xx").T, _box(size, "xy"))
+            )
             shift = size // 2 % step
             shifts.append(shift)
             d = (xx * yy - 0.81 * xy**2)[shift::step, shift::step]
@@ -132,16 +149,24 @@ def test_maxima_are_those_of_a_plain_search():
                     if cube[1, 1, 1] > 50 and (cube >= cube[1, 1, 1]).sum() == 1:
                         offset = _newton(cube)
                         if (np.abs(offset) <= 1).all():
-                            # The grid holds every step-th pixel from where filters begin at a multiple of the step.
-                            x, y = step * (np.array([j, i]) + offset[:2]) + shifts[layer] - (1 - sizes[layer] % 2) / 2
-                            plain.append((cube[1, 1, 1], x, y, np.rint(sizes[layer] + 6 * step * offset[2])))
+                            # The grid holds every step-th pixel from where filters begin at a
+                            # multiple of the step.
+                            x, y = (
+                                step * (np.array([j, i]) + offset[:2])
+                                + shifts[layer]
+                                - (1 - sizes[layer] % 2) / 2
+                            )
+                            plain.append(
+                                (cube[1, 1, 1], x, y, np.rint(sizes[layer] + 6 * step * offset[2]))
+                            )
     plain = np.array(sorted(plain))
     ours = torch.cat([found.response[:, None], found.xy, found.size[:, None]], 1).numpy()
     np.testing.assert_allclose(ours[np.argsort(ours[:, 0])], plain, rtol=1e-3, atol=1e-2)
 
 
 def _newton(cube: np.ndarray) -> np.ndarray:
-    """Offset (x, y, scale) to the peak of the quadratic with the central differences of `cube` (scale, y, x)."""
+    """Offset (x, y, scale) to the peak of the quadratic with the central differences of `cube`
+    (scale, y, x)."""
     unit = np.eye(3, dtype=int)[::-1]
 
     def at(v: np.ndarray) -> float:
@@ -149,10 +174,14 @@ def _newton(cube: np.ndarray) -> np.ndarray:
 
     gradient = [(at(e) - at(-e)) / 2 for e in unit]
     hessian = [
-        [(at(e + f) - at(e - f) - at(f - e) + at(-e - f)) / 4 if (e != f).any() else at(e) - 2 * at(0 * e) + at(-e)
-         for f in unit]
+        [
+            (at(e + f) - at(e - f) - at(f - e) + at(-e - f)) / 4
+            if (e != f).any()
+            else at(e) - 2 * at(0 * e) + at(-e)
+            for f in unit
+        ]
         for e in unit
-    ]  # fmt: skip
+    ]
     return np.linalg.solve(hessian, -np.array(gradient))
 
 
@@ -161,13 +190,18 @@ def test_orientation_is_the_direction_of_a_gradient(degrees):
     v, u = np.mgrid[:121, :121] - 60.0
     a = np.radians(degrees)
     ramp = np.rint(128 + 1.2 * (u * np.cos(a) + v * np.sin(a))).astype(np.uint8)
-    angle = orientation(torch.from_numpy(cv2.integral(ramp)), torch.tensor([[60.0, 60.0]]), torch.tensor([27.0]))
+    angle = orientation(
+        torch.from_numpy(cv2.integral(ramp)), torch.tensor([[60.0, 60.0]]), torch.tensor([27.0])
+    )
     assert abs(turn(angle.numpy(), a)) < np.radians(3)
 
 
 def test_quarter_turns_keep_descriptors_and_turn_angles():
     image = texture()
-    one, two = surf(image, hessian_threshold=200), surf(np.rot90(image).copy(), hessian_threshold=200)
+    one, two = (
+        surf(image, hessian_threshold=200),
+        surf(np.rot90(image).copy(), hessian_threshold=200),
+    )
     # rot90 takes (x, y) to (y, W - 1 - x): a direction loses a quarter turn.
     moved = np.stack([one.keypoints[:, 1], image.shape[1] - 1 - one.keypoints[:, 0]], 1)
     there = partners(moved, one.scales, two.keypoints, two.scales)
@@ -182,11 +216,15 @@ def test_a_rotation_turns_angles_and_keeps_descriptors():
     A = cv2.getRotationMatrix2D((160, 120), degrees, 1)  # anticlockwise on screen
     turned = cv2.warpAffine(image, A, (320, 240), flags=cv2.INTER_CUBIC)
     one, two = surf(image, hessian_threshold=400), surf(turned, hessian_threshold=400)
-    two = two.take(np.hypot(*(two.keypoints - (160, 120)).T) < 70)  # nothing from outside the picture
+    two = two.take(
+        np.hypot(*(two.keypoints - (160, 120)).T) < 70
+    )  # nothing from outside the picture
     there = partners(two.keypoints, two.scales, one.keypoints @ A[:, :2].T + A[:, 2], one.scales)
     pair, there = there >= 0, there[there >= 0]
     assert pair.mean() > 0.45  # box filters are not isotropic
-    assert np.median(np.abs(turn(one.angles[there] - np.radians(degrees), two.angles[pair]))) < np.radians(8)
+    assert np.median(
+        np.abs(turn(one.angles[there] - np.radians(degrees), two.angles[pair]))
+    ) < np.radians(8)
     assert np.median((one.descriptors[there] * two.descriptors[pair]).sum(1)) > 0.98
 
 
@@ -194,7 +232,9 @@ def test_descriptor_is_the_sums_of_gradients_in_its_cells():
     """A ramp: every cell holds sum dx = sum |dx| = its Gaussian weight, and no dy."""
     v, u = np.mgrid[:201, :201]
     ramp = np.rint(20 + u).astype(np.uint8)
-    d = describe(ramp, np.array([[100.0, 100.0]]), np.array([30.0]), np.zeros(1))[0].reshape(4, 4, 4)
+    d = describe(ramp, np.array([[100.0, 100.0]]), np.array([30.0]), np.zeros(1))[0].reshape(
+        4, 4, 4
+    )
     offset = np.arange(20) - 9.5
     gauss = np.exp(-(offset**2) / (2 * 3.3**2)).reshape(4, 5).sum(1)
     expected = np.outer(gauss, gauss) / np.linalg.norm(np.outer(gauss, gauss)) / np.sqrt(2)
@@ -211,7 +251,9 @@ def test_extended_splits_the_sums_of_the_short_descriptor():
     np.testing.assert_array_equal(short.keypoints, long.keypoints)
     for f in (short, long):
         np.testing.assert_allclose(np.linalg.norm(f.descriptors, axis=1), 1, atol=1e-5)
-    a = long.descriptors.reshape(-1, 16, 2, 2, 2)  # dx by the sign of dy, then dy by the sign of dx; plain and absolute
+    a = long.descriptors.reshape(
+        -1, 16, 2, 2, 2
+    )  # dx by the sign of dy, then dy by the sign of dx; plain and absolute
     joined = a.sum(3).transpose(0, 1, 3, 2).reshape(-1, 64)  # dx, dy, |dx|, |dy|
     joined /= np.linalg.norm(joined, axis=1, keepdims=True)
     np.testing.assert_allclose(joined, short.descriptors, atol=1e-4)
@@ -233,7 +275,9 @@ def test_describe_gives_what_surf_gives():
     image = texture()
     f = surf(image)
     for angles in (None, f.angles):
-        np.testing.assert_allclose(describe(image, f.keypoints, f.scales, angles), f.descriptors, atol=1e-5)
+        np.testing.assert_allclose(
+            describe(image, f.keypoints, f.scales, angles), f.descriptors, atol=1e-5
+        )
     np.testing.assert_allclose(
         describe(image, f.keypoints, f.scales, f.angles, extended=True, upright=True),
         surf(image, extended=True, upright=True).descriptors,
@@ -284,10 +328,22 @@ def test_small_images_go_without_the_large_octaves():
 def test_types_of_images():
     image = texture()
     f = surf(image)
-    for other in (image.astype(np.float32), image.astype(np.int64), np.asfortranarray(image), image[::-1][::-1]):
+    for other in (
+        image.astype(np.float32),
+        image.astype(np.int64),
+        np.asfortranarray(image),
+        image[::-1][::-1],
+    ):
         np.testing.assert_array_equal(surf(other).descriptors, f.descriptors)
-    assert {f.keypoints.dtype, f.scales.dtype, f.angles.dtype, f.scores.dtype} == {np.dtype(np.float32)}
-    assert (f.descriptors.dtype, f.norm, f.operator, f.size_wh) == (np.float32, "l2", "surf", (320, 240))
+    assert {f.keypoints.dtype, f.scales.dtype, f.angles.dtype, f.scores.dtype} == {
+        np.dtype(np.float32)
+    }
+    assert (f.descriptors.dtype, f.norm, f.operator, f.size_wh) == (
+        np.float32,
+        "l2",
+        "surf",
+        (320, 240),
+    )
     assert (np.diff(f.scores) <= 0).all()
     assert (f.scores > 30).all()
 
@@ -328,7 +384,9 @@ def test_strips_and_threads_change_nothing():
             for strip in (1500, 20_000):
                 part = fast_hessian(integral, 30.0, 4, 3, strip=strip)
                 for name in ("xy", "size", "response", "sign"):
-                    torch.testing.assert_close(getattr(part, name), getattr(whole, name), rtol=0, atol=0)
+                    torch.testing.assert_close(
+                        getattr(part, name), getattr(whole, name), rtol=0, atol=0
+                    )
             assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(before)

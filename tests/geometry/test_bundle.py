@@ -49,7 +49,9 @@ def test_exact_matches_give_the_exact_pose(loss):
 def test_minimum_is_scipys(loss, scale):
     s = make_scene(25, noise=0.5, seed=1)
     near = adjusted(s, loss="cauchy")  # the marginal loss is flat where the other start lies
-    b = bundle_adjust(s.x1, s.x2, s.K1, s.K2, near.R, near.t, loss=loss, loss_scale=scale, max_iterations=200)
+    b = bundle_adjust(
+        s.x1, s.x2, s.K1, s.K2, near.R, near.t, loss=loss, loss_scale=scale, max_iterations=200
+    )
     assert bool(b.converged)
 
     def cost(p: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
@@ -66,7 +68,9 @@ def test_minimum_is_scipys(loss, scale):
 
     def slopes(v: np.ndarray) -> np.ndarray:
         v = torch.from_numpy(v)
-        return torch.func.jacrev(lambda v: cost(v[:5], b.X + v[5:].reshape(-1, 3)).sqrt())(v).numpy()
+        return torch.func.jacrev(lambda v: cost(v[:5], b.X + v[5:].reshape(-1, 3)).sqrt())(
+            v
+        ).numpy()
 
     best = least_squares(residuals, np.zeros(80), slopes, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     assert best.cost == pytest.approx(float(b.cost[-1]), rel=1e-8)
@@ -161,7 +165,12 @@ def test_swapping_permuting_and_scaling(seed, scale):
 @pytest.mark.grad
 @pytest.mark.parametrize(
     "loss, scale, focal",
-    [("squared", 1.0, "shared"), ("huber", 0.7, "fixed"), ("cauchy", 0.7, "fixed"), ("marginal", 4.0, "fixed")],
+    [
+        ("squared", 1.0, "shared"),
+        ("huber", 0.7, "fixed"),
+        ("cauchy", 0.7, "fixed"),
+        ("marginal", 4.0, "fixed"),
+    ],
 )
 def test_derivatives_at_the_minimum(loss, scale, focal):
     s = make_scene(20, noise=0.3, seed=2)
@@ -181,9 +190,15 @@ def test_derivatives_at_the_minimum(loss, scale, focal):
     upper = torch.tensor([[1, 1, 1], [0, 1, 1], [0, 0, 0]], dtype=D)
     h = 1e-3
     for k, slope in enumerate(slopes):
-        v = torch.randn(data[k].shape, generator=g, dtype=D) * (upper if k > 2 else 0.1 if k == 2 else 1.0)
-        up, down = (outcome(*(a + f * h * v if i == k else a for i, a in enumerate(data))) for f in (1, -1))
-        assert float((slope * v).sum()) == pytest.approx(float(((up - down) / (2 * h)).detach()), rel=1e-3, abs=1e-4)
+        v = torch.randn(data[k].shape, generator=g, dtype=D) * (
+            upper if k > 2 else 0.1 if k == 2 else 1.0
+        )
+        up, down = (
+            outcome(*(a + f * h * v if i == k else a for i, a in enumerate(data))) for f in (1, -1)
+        )
+        assert float((slope * v).sum()) == pytest.approx(
+            float(((up - down) / (2 * h)).detach()), rel=1e-3, abs=1e-4
+        )
 
 
 @pytest.mark.grad
@@ -225,7 +240,10 @@ def test_fountain_converges_at_once_and_agrees_with_the_truth(data_dir):
 
     pair = next(iter(strecha(data_dir / "strecha", ["fountain-P11"])))
     size = tuple(v // 4 for v in pair.camera1.size_wh)
-    images = [cv2.resize(cv2.imread(str(f), 0), size, interpolation=cv2.INTER_AREA) for f in (pair.image1, pair.image2)]
+    images = [
+        cv2.resize(cv2.imread(str(f), 0), size, interpolation=cv2.INTER_AREA)
+        for f in (pair.image1, pair.image2)
+    ]
     K1, K2 = (torch.tensor(c.scaled(size).K) for c in (pair.camera1, pair.camera2))
     R, t = torch.as_tensor(pair.R, dtype=D), torch.as_tensor(pair.t, dtype=D)
     (k1, d1), (k2, d2) = (cv2.SIFT_create(1500).detectAndCompute(i, None) for i in images)

@@ -22,7 +22,9 @@ def test_normalize_is_the_inverse_intrinsic_matrix():
     expected = from_homogeneous(to_homogeneous(s.x2) @ torch.linalg.inv(s.K2).T)
     assert torch.allclose(normalize(s.x2, s.K2), expected, rtol=0, atol=1e-14)
     assert torch.allclose(denormalize(normalize(s.x2, s.K2), s.K2), s.x2, rtol=0, atol=1e-11)
-    assert torch.allclose(inverse_intrinsics(s.K2) @ s.K2, torch.eye(3).double(), rtol=0, atol=1e-15)
+    assert torch.allclose(
+        inverse_intrinsics(s.K2) @ s.K2, torch.eye(3).double(), rtol=0, atol=1e-15
+    )
 
 
 def test_batches_equal_single_results():
@@ -64,7 +66,9 @@ def test_bad_intrinsics_are_named(K, words):
         normalize(torch.zeros(4, 2).double(), K)
 
 
-@pytest.mark.parametrize("x", [torch.zeros(4, 2, dtype=torch.int64), torch.zeros(4, 2, dtype=torch.half)])
+@pytest.mark.parametrize(
+    "x", [torch.zeros(4, 2, dtype=torch.int64), torch.zeros(4, 2, dtype=torch.half)]
+)
 def test_other_dtypes_are_refused(x):
     with pytest.raises(InputError, match="float32 or float64"):
         hartley_normalization(x)

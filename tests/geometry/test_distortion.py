@@ -40,7 +40,11 @@ def test_inverse_is_exact_and_opencvs():
 
 @settings(max_examples=50, deadline=None, derandomize=True)
 @given(
-    st.floats(-0.3, 0.3), st.floats(-0.05, 0.1), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3), st.floats(0.0, 0.02)
+    st.floats(-0.3, 0.3),
+    st.floats(-0.05, 0.1),
+    st.floats(-2e-3, 2e-3),
+    st.floats(-2e-3, 2e-3),
+    st.floats(0.0, 0.02),
 )
 def test_inverse_of_any_moderate_lens(k1, k2, p1, p2, k3):
     d = torch.tensor([k1, k2, p1, p2, k3], dtype=D)
@@ -56,7 +60,9 @@ def test_points_that_no_ray_reaches():
     barrel = torch.tensor([-0.3, 0.0, 0.0, 0.0, 0.0], dtype=D)  # the image ends at radius 0.70
     with pytest.raises(InputError, match="1 of 2 points"):
         undistort(torch.tensor([[0.1, 0.1], [0.6, 0.6]], dtype=D), barrel)
-    with pytest.raises(InputError, match="k1"):  # Newton would find a root on the far side of the fold
+    with pytest.raises(
+        InputError, match="k1"
+    ):  # Newton would find a root on the far side of the fold
         undistort(torch.tensor([[-1.5, 0.0]], dtype=D), barrel)
 
 
@@ -64,7 +70,9 @@ def test_a_batch_is_its_items():
     y = distort(points(), LENS).reshape(4, 50, 2)
     lenses = torch.stack([s * LENS for s in (0.0, 0.5, 1.0, 1.1)])
     together = undistort(y, lenses)
-    torch.testing.assert_close(together, torch.stack([undistort(a, d) for a, d in zip(y, lenses)]), rtol=1e-15, atol=0)
+    torch.testing.assert_close(
+        together, torch.stack([undistort(a, d) for a, d in zip(y, lenses)]), rtol=1e-15, atol=0
+    )
     torch.testing.assert_close(torch.func.vmap(undistort)(y, lenses), together, rtol=1e-14, atol=0)
 
 

@@ -47,7 +47,9 @@ def test_from_fundamental_and_back():
 
 
 def test_projection_is_the_svds():
-    A = E + 0.1 * torch.rand(5, 3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    A = E + 0.1 * torch.rand(
+        5, 3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     U, _, Vt = torch.linalg.svd(A)
     expected = U @ torch.diag(torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)) @ Vt
     assert torch.allclose(project_to_essential(3 * A), expected, rtol=0, atol=1e-12)
@@ -79,7 +81,9 @@ def test_every_solution_of_noisy_samples_is_one():
     a, b = (to_homogeneous(x)[:, None].expand(-1, 10, -1, -1)[valid] for x in (x1, x2))
     assert float(((a @ M.mT) * b).sum(-1).abs().max()) < 1e-12
     S = torch.linalg.svdvals(M)
-    assert torch.allclose(S, torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64).expand_as(S), atol=1e-9)
+    assert torch.allclose(
+        S, torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64).expand_as(S), atol=1e-9
+    )
 
 
 def test_all_solutions_of_kornia_are_found():
@@ -88,10 +92,14 @@ def test_all_solutions_of_kornia_are_found():
     theirs = kornia.geometry.epipolar.find_essential(x1, x2)
     theirs = 2**0.5 * theirs / theirs.flatten(-2).norm(dim=-1)[..., None, None]
     h1, h2 = to_homogeneous(x1)[:, None], to_homogeneous(x2)[:, None]
-    fits = ((h1 @ theirs.mT) * h2).sum(-1).abs().amax(-1) < 1e-9  # some of what comes back is NaN or no solution
+    fits = ((h1 @ theirs.mT) * h2).sum(-1).abs().amax(
+        -1
+    ) < 1e-9  # some of what comes back is NaN or no solution
     S = torch.linalg.svdvals(theirs.nan_to_num())
     fits &= (S[..., 0] - S[..., 1]).abs() < 1e-7
-    gap = torch.where(valid[:, None], same_up_to_sign(theirs[:, :, None], ours[:, None]), torch.inf).amin(-1)
+    gap = torch.where(
+        valid[:, None], same_up_to_sign(theirs[:, :, None], ours[:, None]), torch.inf
+    ).amin(-1)
     assert int(fits.sum()) > 500
     assert float((gap[fits] < 1e-5).double().mean()) > 0.995
 
@@ -111,7 +119,11 @@ def test_batch_shapes_and_float32():
 
 @pytest.mark.parametrize("kind", ["repeated", "origin"])
 def test_degenerate_samples_yield_nothing_or_finite_matrices(kind):
-    x = torch.rand(1, 2, dtype=torch.float64).repeat(5, 1) if kind == "repeated" else torch.zeros(5, 2).double()
+    x = (
+        torch.rand(1, 2, dtype=torch.float64).repeat(5, 1)
+        if kind == "repeated"
+        else torch.zeros(5, 2).double()
+    )
     solutions, _ = essential_5point(x, x)
     assert torch.isfinite(solutions).all()
 
@@ -129,7 +141,9 @@ def test_bad_input_is_named():
 @pytest.mark.grad
 @pytest.mark.parametrize("off", [0.0, 0.05])
 def test_derivatives_on_and_off_the_manifold(off):
-    M = (E + off * torch.rand(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)).requires_grad_()
+    M = (
+        E + off * torch.rand(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    ).requires_grad_()
     assert gradcheck(project_to_essential, (M,))
     assert gradcheck(decompose_essential, (M,))
     F = (1e3 * fundamental_from_essential(M.detach(), EXACT.K1, EXACT.K2)).requires_grad_()

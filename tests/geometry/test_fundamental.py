@@ -40,7 +40,9 @@ def test_eight_points_agree_with_opencv_on_noise():
         sampson_distance(ours, NOISY.x1, NOISY.x2).abs()
         - sampson_distance(torch.from_numpy(theirs), NOISY.x1, NOISY.x2).abs()
     )
-    assert float(apart.abs().max()) < 0.02  # normalised by the mean distance there, by the root mean square here
+    assert (
+        float(apart.abs().max()) < 0.02
+    )  # normalised by the mean distance there, by the root mean square here
     assert abs(float(torch.linalg.det(ours))) < 1e-18
 
 
@@ -51,11 +53,15 @@ def test_seven_points_hold_the_true_matrix_and_opencvs_solutions():
     assert float(torch.where(valid, same_up_to_sign(solutions, F), torch.inf).amin(-1).max()) < 1e-8
     assert torch.equal(solutions[~valid], torch.zeros_like(solutions[~valid]))
     for i in range(20):
-        theirs, _ = cv2.findFundamentalMat(EXACT.x1[index[i]].numpy(), EXACT.x2[index[i]].numpy(), cv2.FM_7POINT)
+        theirs, _ = cv2.findFundamentalMat(
+            EXACT.x1[index[i]].numpy(), EXACT.x2[index[i]].numpy(), cv2.FM_7POINT
+        )
         theirs = unit_norm(torch.from_numpy(theirs.reshape(-1, 3, 3)))
         assert len(theirs) == int(valid[i].sum())
         for M in theirs:
-            assert float(same_up_to_sign(solutions[i][valid[i]], M).min()) < 1e-4  # theirs works in raw pixels
+            assert (
+                float(same_up_to_sign(solutions[i][valid[i]], M).min()) < 1e-4
+            )  # theirs works in raw pixels
 
 
 def test_lines_hold_the_matches_and_meet_in_the_epipoles():
@@ -65,20 +71,25 @@ def test_lines_hold_the_matches_and_meet_in_the_epipoles():
     e1, e2 = epipoles(F)
     assert float((lines @ e2).abs().max()) < 1e-9
     theirs = cv2.computeCorrespondEpilines(EXACT.x1.numpy().reshape(-1, 1, 2), 1, F.numpy())[:, 0]
-    assert np.allclose(np.minimum(np.abs(theirs - lines.numpy()), np.abs(theirs + lines.numpy())), 0, atol=1e-9)
+    assert np.allclose(
+        np.minimum(np.abs(theirs - lines.numpy()), np.abs(theirs + lines.numpy())), 0, atol=1e-9
+    )
     centre = EXACT.K1 @ (-EXACT.R.T @ EXACT.t)  # the other camera's centre, seen from this one
     assert float(same_up_to_sign(e1[:, None], (centre / centre.norm())[:, None])) < 1e-9
 
 
 def test_distances_for_a_sideways_motion_are_known():
-    """Rows are epipolar lines: a match that is v pixels off is v / √2 from it jointly, 2 v² symmetrically."""
+    """Rows are epipolar lines: a match that is v pixels off is v / √2 from it jointly, 2 v²
+    symmetrically."""
     rows = torch.tensor([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
     x1 = torch.tensor([[10.0, 20.0], [5.0, 5.0]], dtype=torch.float64)
     x2 = x1 + torch.tensor([7.0, 3.0], dtype=torch.float64)
     expected = torch.full((2,), 3 / 2**0.5, dtype=torch.float64)
     assert torch.allclose(sampson_distance(rows, x1, x2).abs(), expected)
     assert torch.allclose(squared_sampson_distance(9 * rows, x1, x2), expected**2)
-    assert torch.allclose(symmetric_epipolar_distance(rows, x1, x2), torch.full((2,), 18.0).double())
+    assert torch.allclose(
+        symmetric_epipolar_distance(rows, x1, x2), torch.full((2,), 18.0).double()
+    )
 
 
 def test_sampson_distance_agrees_with_opencv():
@@ -91,7 +102,9 @@ def test_sampson_distance_agrees_with_opencv():
 def test_hypotheses_broadcast_over_shared_points():
     many = torch.stack((F, F.mT, torch.eye(3).double()))
     together = sampson_distance(many, NOISY.x1.expand(3, -1, -1), NOISY.x2.expand(3, -1, -1))
-    assert torch.equal(together, torch.stack([sampson_distance(M, NOISY.x1, NOISY.x2) for M in many]))
+    assert torch.equal(
+        together, torch.stack([sampson_distance(M, NOISY.x1, NOISY.x2) for M in many])
+    )
 
 
 def test_batch_equals_singles_and_float32_is_close():
@@ -101,7 +114,12 @@ def test_batch_equals_singles_and_float32_is_close():
         assert float(same_up_to_sign(both[i], fundamental_8point(a[i], b[i]))) < 1e-14
     single = fundamental_8point(a.float(), b.float())
     assert (
-        float((sampson_distance(single.double(), a, b).abs() - sampson_distance(both, a, b).abs()).abs().max()) < 1e-3
+        float(
+            (sampson_distance(single.double(), a, b).abs() - sampson_distance(both, a, b).abs())
+            .abs()
+            .max()
+        )
+        < 1e-3
     )
 
 
@@ -110,7 +128,9 @@ def test_matches_that_leave_f_open_are_refused(scene):
     s = make_scene(30, planar=True)
     x1, x2 = s.x1, s.x2
     if scene == "collinear":
-        x1 = torch.linspace(0, 99, 30, dtype=torch.float64)[:, None] * torch.tensor([1.0, 2.0], dtype=torch.float64)
+        x1 = torch.linspace(0, 99, 30, dtype=torch.float64)[:, None] * torch.tensor(
+            [1.0, 2.0], dtype=torch.float64
+        )
         x2 = x1 * 1.5 + 3
     if scene == "repeated":
         x1, x2 = x1[:1].repeat(30, 1), x2[:1].repeat(30, 1)
@@ -135,10 +155,14 @@ def test_bad_input_is_named():
 def test_derivatives():
     x1, x2 = (x[:9].clone().requires_grad_() for x in (NOISY.x1, NOISY.x2))
     w = torch.linspace(0.5, 1, 9, dtype=torch.float64).requires_grad_()
-    assert gradcheck(lambda a, b, w: (lambda M: M * M[2, 2].sign())(fundamental_8point(a, b, w)), (x1, x2, w))
+    assert gradcheck(
+        lambda a, b, w: (lambda M: M * M[2, 2].sign())(fundamental_8point(a, b, w)), (x1, x2, w)
+    )
     a, b = ((x[:7] / 100).detach().requires_grad_() for x in (x1, x2))
     assert gradcheck(lambda a, b: fundamental_7point(a, b)[0], (a, b))
-    M = torch.rand(3, 3, generator=torch.Generator().manual_seed(3), dtype=torch.float64).requires_grad_()
+    M = torch.rand(
+        3, 3, generator=torch.Generator().manual_seed(3), dtype=torch.float64
+    ).requires_grad_()
     for function in (sampson_distance, symmetric_epipolar_distance):
         assert gradcheck(function, (M, a, b))
     assert gradcheck(epipolar_lines, (M, a))

@@ -1,4 +1,5 @@
-"""Derivatives of the small functions by finite differences; those of the solvers stand beside their other tests."""
+"""Derivatives of the small functions by finite differences; those of the solvers stand beside their
+other tests."""
 
 from __future__ import annotations
 
@@ -87,7 +88,9 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_derivatives_are_those_of_finite_differences(name):
     function, values = FUNCTIONS[name]
-    assert torch.autograd.gradcheck(function, tuple(v.clone().requires_grad_() for v in values), atol=1e-5)
+    assert torch.autograd.gradcheck(
+        function, tuple(v.clone().requires_grad_() for v in values), atol=1e-5
+    )
 
 
 @pytest.mark.grad
@@ -98,7 +101,9 @@ def test_slope_and_curvature_are_the_derivatives_of_the_loss(loss):
     (first,) = torch.autograd.grad(value.sum(), s, create_graph=True)
     torch.testing.assert_close(slope, first)
     h = 1e-6
-    numeric = (loss_terms(loss, s.detach() + h, 0.8).slope - loss_terms(loss, s.detach() - h, 0.8).slope) / (2 * h)
+    numeric = (
+        loss_terms(loss, s.detach() + h, 0.8).slope - loss_terms(loss, s.detach() - h, 0.8).slope
+    ) / (2 * h)
     torch.testing.assert_close(curvature, numeric, atol=1e-6, rtol=1e-5)
 
 
@@ -112,7 +117,9 @@ def test_a_batch_is_its_members_and_single_precision_is_near(name):
     low = function(*(v.float() for v in values))
     for one, rough in zip(*((r if isinstance(r, tuple) else (r,)) for r in (single, low))):
         assert rough.dtype == torch.float32
-        torch.testing.assert_close(rough.double(), one, rtol=1e-3, atol=1e-3 * float(one.abs().max()))
+        torch.testing.assert_close(
+            rough.double(), one, rtol=1e-3, atol=1e-3 * float(one.abs().max())
+        )
 
 
 @pytest.mark.grad
@@ -121,17 +128,22 @@ def test_a_refined_homography_is_differentiated_through_its_maximum():
     start = homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2)
     w = torch.linspace(0.5, 1.5, 14, dtype=torch.float64)
 
-    def where(x1, x2, w):  # where the image's corners go, pixels: the entries of H differ by orders of magnitude
+    def where(
+        x1, x2, w
+    ):  # where the image's corners go, pixels: the entries of H differ by orders of magnitude
         H = refine_homography(start, x1, x2, w, threshold_px=5.0, max_iterations=60)
         corners = torch.tensor([[0.0, 0], [640, 0], [640, 480], [0, 480]], dtype=torch.float64)
         return transfer(H, corners)
 
     values = tuple(v.clone().requires_grad_() for v in (s.x1, s.x2, w))
-    # The search stops within 1e-7 of the best score, so the differences themselves are good to a percent.
+    # The search stops within 1e-7 of the best score, so the differences themselves are good to a
+    # percent.
     assert torch.autograd.gradcheck(where, values, eps=1e-4, atol=6e-3, rtol=1e-2)
     plain = refine_homography(start, s.x1, s.x2, w, threshold_px=5.0, max_iterations=60)
     traced = refine_homography(start, *values, threshold_px=5.0, max_iterations=60)
-    assert float((transfer(traced.detach(), s.x1) - transfer(plain, s.x1)).norm(dim=-1).max()) < 0.01  # pixels
+    assert (
+        float((transfer(traced.detach(), s.x1) - transfer(plain, s.x1)).norm(dim=-1).max()) < 0.01
+    )  # pixels
 
 
 ONE_GRADIENT = {
@@ -158,7 +170,10 @@ def test_a_first_gradient_warns_of_nothing(call):
     )
     made = subprocess.run(
         [sys.executable, "-W", "error::FutureWarning", "-c", "\n".join(lines)],
-        cwd=Path(__file__).parent, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+    )
     assert made.returncode == 0, made.stderr[-2000:]
     assert made.stderr == ""

@@ -38,7 +38,9 @@ def test_solvers_recover_an_exact_homography(solve):
 
 def test_dlt_agrees_with_opencv_on_noise():
     ours = homography_dlt(NOISY.x1, NOISY.x2)
-    theirs, _ = cv2.findHomography(NOISY.x1.numpy(), NOISY.x2.numpy(), 0)  # ends with a nonlinear refinement
+    theirs, _ = cv2.findHomography(
+        NOISY.x1.numpy(), NOISY.x2.numpy(), 0
+    )  # ends with a nonlinear refinement
     apart = transfer(ours, NOISY.x1) - transfer(torch.from_numpy(theirs), NOISY.x1)
     assert float(apart.norm(dim=-1).max()) < 0.1
 
@@ -71,8 +73,14 @@ def test_decomposition_holds_the_true_pose_and_plane_and_matches_opencv():
     whole = torch.linalg.inv(PLANE.K2) @ H @ PLANE.K1
     _, Rs, ts, ns = cv2.decomposeHomographyMat(whole.numpy(), torch.eye(3).double().numpy())
     for R_cv, t_cv, n_cv in zip(Rs, ts, ns):
-        gap = [float((torch.from_numpy(R_cv) - a).norm() + (torch.from_numpy(t_cv[:, 0]) - b).norm()
-                     + (torch.from_numpy(n_cv[:, 0]) - c).norm()) for a, b, c in zip(R, t, n)]  # fmt: skip
+        gap = [
+            float(
+                (torch.from_numpy(R_cv) - a).norm()
+                + (torch.from_numpy(t_cv[:, 0]) - b).norm()
+                + (torch.from_numpy(n_cv[:, 0]) - c).norm()
+            )
+            for a, b, c in zip(R, t, n)
+        ]
         assert min(gap) < 1e-8
 
 
@@ -100,12 +108,16 @@ def test_batch_equals_singles_and_float32_is_close():
 def test_vmap_agrees():
     a = torch.stack((PLANE.x1, NOISY.x1))
     b = torch.stack((PLANE.x2, NOISY.x2))
-    assert torch.allclose(torch.func.vmap(homography_dlt)(a, b), homography_dlt(a, b), rtol=0, atol=1e-14)
+    assert torch.allclose(
+        torch.func.vmap(homography_dlt)(a, b), homography_dlt(a, b), rtol=0, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("kind", ["collinear", "repeated"])
 def test_degenerate_points_are_refused(kind):
-    x = torch.linspace(0, 10, 8, dtype=torch.float64)[:, None] * torch.tensor([1.0, 2.0], dtype=torch.float64)
+    x = torch.linspace(0, 10, 8, dtype=torch.float64)[:, None] * torch.tensor(
+        [1.0, 2.0], dtype=torch.float64
+    )
     if kind == "repeated":
         x = torch.ones(8, 2, dtype=torch.float64)
     with pytest.raises(DegenerateGeometryError, match="do not determine H"):

@@ -1,4 +1,5 @@
-"""What must not matter: which image comes first, how cameras are turned, the unit of pixels, the order of the matches."""
+"""What must not matter: which image comes first, how cameras are turned, the unit of pixels, the
+order of the matches."""
 
 from __future__ import annotations
 
@@ -15,7 +16,12 @@ from sfmkit.estimation import opencv, peers, robust
 from sfmkit.geometry.bundle import bundle_adjust
 from sfmkit.geometry.coordinates import from_homogeneous, normalize, to_homogeneous
 from sfmkit.geometry.essential import essential_from_pose
-from sfmkit.geometry.fundamental import fundamental_8point, fundamental_from_pose, sampson_distance, unit_norm
+from sfmkit.geometry.fundamental import (
+    fundamental_8point,
+    fundamental_from_pose,
+    sampson_distance,
+    unit_norm,
+)
 from sfmkit.geometry.homography import homography_dlt, homography_sampson
 from sfmkit.geometry.lie import so3_exp
 from sfmkit.geometry.pose import cheirality, relative_pose, rotation_error, translation_error
@@ -31,7 +37,8 @@ METHODS = ("optimal", "midpoint", "dlt")
 
 @dataclass(frozen=True)
 class Task:
-    """Matches, their cameras, the length that counts as one pixel, and a pose of camera 2 from camera 1."""
+    """Matches, their cameras, the length that counts as one pixel, and a pose of camera 2 from
+    camera 1."""
 
     x1: Tensor
     x2: Tensor
@@ -46,7 +53,14 @@ def task(seed: int, n: int = 60, noise: float = 0.3, outliers: float = 0.0) -> T
     s = make_scene(n, noise=noise, seed=seed, outliers=outliers)
     K2 = s.K2.clone()
     K2[0, 1] = 0  # the peers know no skew; one pixel of it over the focal length is below the noise
-    return Task(s.x1, from_homogeneous(to_homogeneous(s.x2) @ (K2 @ torch.linalg.inv(s.K2)).T), s.K1, K2, s.R, s.t)
+    return Task(
+        s.x1,
+        from_homogeneous(to_homogeneous(s.x2) @ (K2 @ torch.linalg.inv(s.K2)).T),
+        s.K1,
+        K2,
+        s.R,
+        s.t,
+    )
 
 
 class Swap:
@@ -70,14 +84,23 @@ class Scale(Swap):
 
     def __call__(self, a: Task) -> Task:
         S = torch.diag(torch.tensor([self.factor, self.factor, 1.0], dtype=torch.float64))
-        return Task(a.x1 * self.factor, a.x2 * self.factor, S @ a.K1, S @ a.K2, a.R, a.t, a.pixel * self.factor)
+        return Task(
+            a.x1 * self.factor,
+            a.x2 * self.factor,
+            S @ a.K1,
+            S @ a.K2,
+            a.R,
+            a.t,
+            a.pixel * self.factor,
+        )
 
     def pose(self, R: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
         return R, t
 
 
 class Turn(Swap):
-    """Both photographs turned by quarters about the origin of their pixels, each by its own number of quarters."""
+    """Both photographs turned by quarters about the origin of their pixels, each by its own number
+    of quarters."""
 
     def __init__(self, quarters1: int, quarters2: int):
         self.quarters = quarters1, quarters2
@@ -85,7 +108,8 @@ class Turn(Swap):
 
     def __call__(self, a: Task) -> Task:
         (x1, K1), (x2, K2) = (
-            (x @ Q[:2, :2].T, Q @ K @ Q.T) for x, K, Q in ((a.x1, a.K1, self.Q1), (a.x2, a.K2, self.Q2))
+            (x @ Q[:2, :2].T, Q @ K @ Q.T)
+            for x, K, Q in ((a.x1, a.K1, self.Q1), (a.x2, a.K2, self.Q2))
         )
         return replace(a, x1=x1, x2=x2, K1=K1, K2=K2, R=self.Q2 @ a.R @ self.Q1.T, t=self.Q2 @ a.t)
 
@@ -118,7 +142,9 @@ changes = st.one_of(
 
 
 def apart(pose: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> float:
-    return float(torch.maximum(rotation_error(pose[0], other[0]), translation_error(pose[1], other[1])))
+    return float(
+        torch.maximum(rotation_error(pose[0], other[0]), translation_error(pose[1], other[1]))
+    )
 
 
 @many
@@ -127,8 +153,12 @@ def test_distances_in_pixels_scale_and_otherwise_stay(seed, change):
     a = task(seed)
     b = change(a)
     order = change.order(len(a.x1))
-    before, after = (sampson_distance(fundamental_from_pose(c.R, c.t, c.K1, c.K2), c.x1, c.x2) for c in (a, b))
-    torch.testing.assert_close(after.abs(), before[order].abs() * b.pixel, rtol=1e-7, atol=1e-9 * b.pixel)
+    before, after = (
+        sampson_distance(fundamental_from_pose(c.R, c.t, c.K1, c.K2), c.x1, c.x2) for c in (a, b)
+    )
+    torch.testing.assert_close(
+        after.abs(), before[order].abs() * b.pixel, rtol=1e-7, atol=1e-9 * b.pixel
+    )
 
 
 @many
@@ -152,14 +182,20 @@ def test_eight_points_see_the_same_geometry(seed, change):
     a = task(seed)
     b = change(a)
     order = change.order(len(a.x1))
-    before, after = (sampson_distance(fundamental_8point(c.x1, c.x2), c.x1, c.x2).abs() for c in (a, b))
+    before, after = (
+        sampson_distance(fundamental_8point(c.x1, c.x2), c.x1, c.x2).abs() for c in (a, b)
+    )
     torch.testing.assert_close(after, before[order] * b.pixel, rtol=1e-5, atol=1e-7 * b.pixel)
 
 
 @many
 @given(
     seeds,
-    st.one_of(st.builds(Scale, st.floats(0.01, 100)), st.builds(Permute, seeds), st.builds(Turn, quarters, quarters)),
+    st.one_of(
+        st.builds(Scale, st.floats(0.01, 100)),
+        st.builds(Permute, seeds),
+        st.builds(Turn, quarters, quarters),
+    ),
 )
 def test_a_homography_is_the_same_map(seed, change):
     s = make_scene(40, noise=0.3, seed=seed, planar=True)
@@ -173,10 +209,14 @@ def test_a_homography_is_the_same_map(seed, change):
 @many
 @given(seeds, changes, st.sampled_from(METHODS))
 def test_points_are_the_same_points(seed, change, method):
-    a = task(seed, noise=0.0)  # the methods weigh the images differently: only exact rays meet in one point for all
+    a = task(
+        seed, noise=0.0
+    )  # the methods weigh the images differently: only exact rays meet in one point for all
     b = change(a)
     order = change.order(len(a.x1))
-    X, Y = (triangulate(normalize(c.x1, c.K1), normalize(c.x2, c.K2), c.R, c.t, method) for c in (a, b))
+    X, Y = (
+        triangulate(normalize(c.x1, c.K1), normalize(c.x2, c.K2), c.R, c.t, method) for c in (a, b)
+    )
     X = X[order]
     if isinstance(change, Turn):
         X = X @ change.Q1.T
@@ -188,12 +228,15 @@ def test_points_are_the_same_points(seed, change, method):
 @many
 @given(seeds, st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
 def test_the_midpoint_does_not_care_where_the_cameras_look(seed, w1, w2):
-    """Of noisy rays too: it is defined in space, so any rotation of either camera's frame only rotates the answer."""
+    """Of noisy rays too: it is defined in space, so any rotation of either camera's frame only
+    rotates the answer."""
     a = task(seed)
     Q1, Q2 = (so3_exp(torch.tensor(w, dtype=torch.float64)) for w in (w1, w2))
     xn1, xn2 = normalize(a.x1, a.K1), normalize(a.x2, a.K2)
     X = triangulate(xn1, xn2, a.R, a.t, "midpoint")
-    turned1, turned2 = (from_homogeneous(to_homogeneous(x) @ Q.T) for x, Q in ((xn1, Q1), (xn2, Q2)))
+    turned1, turned2 = (
+        from_homogeneous(to_homogeneous(x) @ Q.T) for x, Q in ((xn1, Q1), (xn2, Q2))
+    )
     Y = triangulate(turned1, turned2, Q2 @ a.R @ Q1.T, Q2 @ a.t, "midpoint")
     torch.testing.assert_close(Y, X @ Q1.T, rtol=1e-8, atol=1e-9)
 
@@ -232,14 +275,16 @@ def test_bundle_adjustment_finds_the_same_pose_and_is_as_sure(seed, change):
     found, again = (bundle_adjust(c.x1, c.x2, c.K1, c.K2, c.R, c.t) for c in (a, b))
     assert apart((again.R, again.t), change.pose(found.R, found.t)) < 1e-5
     sure, still = covariance(found), covariance(again)
-    # Swapped, the direction of t is told in the other camera's axes, and inherits the uncertainty of the rotation.
+    # Swapped, the direction of t is told in the other camera's axes, and inherits the uncertainty
+    # of the rotation.
     upto = 1 if type(change) is Swap else 2
     torch.testing.assert_close(still.sigma_deg[:upto], sure.sigma_deg[:upto], rtol=1e-4, atol=1e-9)
     torch.testing.assert_close(still.sigma_px, sure.sigma_px * b.pixel, rtol=1e-5, atol=0)
 
 
 def engines():
-    # degrees that two runs may differ by: what maximises a score to convergence agrees with itself, samples do not
+    # degrees that two runs may differ by: what maximises a score to convergence agrees with itself,
+    # samples do not
     yield pytest.param(robust, 1e-3, id="torch")
     yield pytest.param(opencv, 2.0, id="opencv")
     yield pytest.param("poselib", 0.05, id="poselib", marks=pytest.mark.peers)
@@ -258,14 +303,17 @@ def test_a_robust_estimate_is_the_same(engine, degrees):
         a = task(seed, n=200, outliers=0.2)
         b = change(a)
         before, after = (
-            engine.estimate_essential(c.x1, c.x2, c.K1, c.K2, threshold_px=1.5 * c.pixel, seed=3) for c in (a, b)
+            engine.estimate_essential(c.x1, c.x2, c.K1, c.K2, threshold_px=1.5 * c.pixel, seed=3)
+            for c in (a, b)
         )
         E = change_of(before.model, change)
         size = float(essential_from_pose(a.R, a.t).norm())
         gap = float(same_up_to_sign(unit_norm(after.model), unit_norm(E))) * size
         assert gap < torch.deg2rad(torch.tensor(2 * degrees)), f"{type(change).__name__}: {gap}"
         order = change.order(len(a.x1))
-        assert int((after.inliers != before.inliers[order]).sum()) <= (0 if engine is robust else 10)
+        assert int((after.inliers != before.inliers[order]).sum()) <= (
+            0 if engine is robust else 10
+        )
 
     check()
 

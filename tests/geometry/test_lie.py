@@ -39,7 +39,10 @@ def test_half_turns_have_an_axis():
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
-@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: sum(c * c for c in v) > 1e-3), st.floats(-3, 3))
+@given(
+    st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: sum(c * c for c in v) > 1e-3),
+    st.floats(-3, 3),
+)
 def test_tangent_basis_and_great_circles(t, angle):
     t = torch.nn.functional.normalize(torch.tensor(t, dtype=D), dim=-1)
     B = tangent_basis(t)
@@ -54,7 +57,11 @@ def test_tangent_basis_and_great_circles(t, angle):
 @pytest.mark.parametrize("angle", [0.0, 0.02, 1.0, 3.0])
 def test_derivatives(angle):
     w = (angle * directions(1)).requires_grad_()
-    for function in (so3_exp, lambda v: so3_log(so3_exp(v)), lambda v: sphere_exp(directions(1), v)):
+    for function in (
+        so3_exp,
+        lambda v: so3_log(so3_exp(v)),
+        lambda v: sphere_exp(directions(1), v),
+    ):
         assert gradcheck(function, (w,))
         assert gradgradcheck(function, (w,))
     torch.testing.assert_close(torch.func.vmap(so3_log)(so3_exp(w)), so3_log(so3_exp(w)))

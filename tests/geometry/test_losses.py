@@ -1,4 +1,5 @@
-"""The marginal loss against numerical integration over the noise level; all losses against their own derivatives."""
+"""The marginal loss against numerical integration over the noise level; all losses against their
+own derivatives."""
 
 from __future__ import annotations
 
@@ -15,10 +16,13 @@ from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
 
 
 def marginal(r: float, threshold: float) -> float:
-    """The density of a four-vector of length r, cut off at k sigma, averaged over sigma up to threshold / k."""
+    """The density of a four-vector of length r, cut off at k sigma, averaged over sigma up to
+    threshold / k."""
     k = chi(4).ppf(0.99)
     top = threshold / k
-    density = quad(lambda s: s**-4 * math.exp(-(r**2) / (2 * s**2)), r / k, top, epsabs=0, epsrel=1e-10)[0]
+    density = quad(
+        lambda s: s**-4 * math.exp(-(r**2) / (2 * s**2)), r / k, top, epsabs=0, epsrel=1e-10
+    )[0]
     return density * r**3  # relative to a chi distributed length: what MAGSAC++ weighs with
 
 
@@ -42,7 +46,8 @@ def test_slope_and_curvature_are_the_derivatives_of_the_value(loss):
     assert torch.allclose(torch.autograd.grad(value.sum(), s)[0], slope, rtol=1e-6, atol=1e-9)
     h = 1e-5
     by_differences = (
-        loss_terms(loss, s.detach()[1:] + h, 0.9).slope - loss_terms(loss, s.detach()[1:] - h, 0.9).slope
+        loss_terms(loss, s.detach()[1:] + h, 0.9).slope
+        - loss_terms(loss, s.detach()[1:] - h, 0.9).slope
     ) / (2 * h)
     assert torch.allclose(curvature[1:], by_differences, rtol=1e-3, atol=1e-6)
     assert float(loss_terms(loss, torch.zeros(1).double(), 0.9).slope) == pytest.approx(1)

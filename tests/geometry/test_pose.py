@@ -47,7 +47,8 @@ def test_cheirality_is_the_sign_of_the_triangulated_depths():
         c = -Rk.T @ tk
         ray2 = torch.cat((xn2, torch.ones(60, 1)), 1).double() @ Rk
         ray1 = torch.cat((xn1, torch.ones(60, 1)), 1).double()
-        # Depths along both rays from a least-squares solution of s1 d1 - s2 d2 = c, one match at a time.
+        # Depths along both rays from a least-squares solution of s1 d1 - s2 d2 = c, one match at a
+        # time.
         for k in range(60):
             s = torch.linalg.lstsq(torch.stack((ray1[k], -ray2[k]), 1), c[:, None]).solution[:, 0]
             assert bool((s > 0).all()) == bool(mask[k])
@@ -69,7 +70,9 @@ def test_each_item_of_a_batch_gets_its_own_choice():
     poses = [candidates(R, t) for _, _, R, t in items]
     # Another place for the true pose in every item.
     poses = [(R4.roll(k, 0), t4.roll(k, 0)) for k, (R4, t4) in enumerate(poses)]
-    R, t, counts = choose_pose(*(torch.stack(a) for a in zip(*poses)), *(torch.stack(a) for a in list(zip(*items))[:2]))
+    R, t, counts = choose_pose(
+        *(torch.stack(a) for a in zip(*poses)), *(torch.stack(a) for a in list(zip(*items))[:2])
+    )
     assert counts.argmax(-1).tolist() == [2, 3, 0, 1]
     torch.testing.assert_close(R, torch.stack([i[2] for i in items]), rtol=0, atol=0)
     torch.testing.assert_close(t, torch.stack([i[3] for i in items]), rtol=0, atol=0)
@@ -102,7 +105,9 @@ def test_angles_have_all_their_digits(degrees):
     angle = torch.deg2rad(torch.tensor(degrees, dtype=D))
     axis = torch.nn.functional.normalize(torch.tensor([1.0, -2.0, 0.5], dtype=D), dim=0)
     R0 = so3_exp(torch.tensor([0.3, -0.2, 1.0], dtype=D))
-    assert float(rotation_error(R0, R0 @ so3_exp(angle * axis))) == pytest.approx(degrees, abs=1e-13, rel=1e-12)
+    assert float(rotation_error(R0, R0 @ so3_exp(angle * axis))) == pytest.approx(
+        degrees, abs=1e-13, rel=1e-12
+    )
     a = torch.tensor([0.0, 3.0, 0.0], dtype=D)
     b = torch.stack((0 * angle, angle.cos(), angle.sin()))
     assert float(translation_error(a, b)) == pytest.approx(degrees, abs=1e-13, rel=1e-12)
@@ -113,7 +118,10 @@ def test_angles_have_all_their_digits(degrees):
 
 def test_relative_pose_from_the_world():
     g = torch.Generator().manual_seed(0)
-    (w1, w2, t1, t2), X = torch.randn(4, 3, generator=g, dtype=D), torch.randn(3, generator=g, dtype=D)
+    (w1, w2, t1, t2), X = (
+        torch.randn(4, 3, generator=g, dtype=D),
+        torch.randn(3, generator=g, dtype=D),
+    )
     R1, R2 = so3_exp(w1), so3_exp(w2)
     R, t = relative_pose(R1, t1, R2, t2)
     torch.testing.assert_close(R @ (R1 @ X + t1) + t, R2 @ X + t2)

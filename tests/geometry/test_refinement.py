@@ -42,7 +42,13 @@ def test_minimum_is_scipys(loss, name):
 
     ours = refine_essential(*start(s), s.x1, s.x2, s.K1, s.K2, loss=loss, loss_scale=0.8)
     theirs = least_squares(
-        residuals, np.r_[0, 0, 0, s.t.numpy()], loss=name, f_scale=0.8, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        residuals,
+        np.r_[0, 0, 0, s.t.numpy()],
+        loss=name,
+        f_scale=0.8,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
     )
     assert float(ours.cost[-1]) == pytest.approx(theirs.cost, rel=1e-9)
     R = torch.from_numpy(Rotation.from_rotvec(theirs.x[:3]).as_matrix()) @ s.R
@@ -84,7 +90,9 @@ def test_bad_input_is_named():
     with pytest.raises(InputError):
         refine_essential(s.R, 0 * s.t, s.x1, s.x2, s.K1, s.K2)
     with pytest.raises(InputError, match="do not go together"):
-        refine_essential(s.R.expand(3, 3, 3), s.t, s.x1.expand(2, -1, -1), s.x2.expand(2, -1, -1), s.K1, s.K2)
+        refine_essential(
+            s.R.expand(3, 3, 3), s.t, s.x1.expand(2, -1, -1), s.x2.expand(2, -1, -1), s.K1, s.K2
+        )
 
 
 @pytest.mark.grad
@@ -96,7 +104,14 @@ def test_derivatives_of_the_minimum(loss):
 
     def pose(x1, x2, w, K1):
         fit = refine_essential(
-            *start(s), x1, x2, K1, s.K2, w, loss=loss, loss_scale=30.0 if loss == "marginal" else 3.0
+            *start(s),
+            x1,
+            x2,
+            K1,
+            s.K2,
+            w,
+            loss=loss,
+            loss_scale=30.0 if loss == "marginal" else 3.0,
         )
         return fit.R, fit.t
 
@@ -104,5 +119,9 @@ def test_derivatives_of_the_minimum(loss):
     x1, x2 = x1.detach(), x2.detach()
     one = torch.func.jacrev(lambda x: pose(x, x2, w.detach(), s.K1)[1])(x1)
     assert one.shape == (3, 12, 2)
-    many = torch.func.vmap(torch.func.jacrev(lambda a, b: pose(a, b, w.detach(), s.K1)[1]))(x1[None], x2[None])
-    assert torch.allclose(one, many[0], rtol=1e-4, atol=1e-8)  # vmap makes all iterations, alone stops when done
+    many = torch.func.vmap(torch.func.jacrev(lambda a, b: pose(a, b, w.detach(), s.K1)[1]))(
+        x1[None], x2[None]
+    )
+    assert torch.allclose(
+        one, many[0], rtol=1e-4, atol=1e-8
+    )  # vmap makes all iterations, alone stops when done

@@ -45,7 +45,9 @@ def test_residuals_and_their_root_mean_square():
     s, X = world()
     shift = torch.tensor([3.0, 0.0], dtype=D), torch.tensor([0.0, -4.0], dtype=D)
     args = (X, s.x1 + shift[0], s.x2 + shift[1], s.K1, s.K2, s.R, s.t)
-    torch.testing.assert_close(reprojection_residuals(*args), torch.tensor([-3.0, 0, 0, 4], dtype=D).expand(40, 4))
+    torch.testing.assert_close(
+        reprojection_residuals(*args), torch.tensor([-3.0, 0, 0, 4], dtype=D).expand(40, 4)
+    )
     torch.testing.assert_close(reprojection_error(*args), torch.full((40,), 12.5**0.5, dtype=D))
 
 
@@ -55,7 +57,9 @@ def test_batch_and_float32():
     one = reprojection_error(*args)
     both = reprojection_error(*(torch.stack((a, a)) for a in args))
     torch.testing.assert_close(both, torch.stack((one, one)), rtol=1e-12, atol=1e-12)
-    torch.testing.assert_close(reprojection_error(*(a.float() for a in args)), one.float(), rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        reprojection_error(*(a.float() for a in args)), one.float(), rtol=0, atol=1e-3
+    )
 
 
 @pytest.mark.grad
@@ -68,7 +72,9 @@ def test_derivatives():
 
     assert gradcheck(error, args)
     exact = args[0].detach().requires_grad_()
-    reprojection_error(exact, project(exact, s.K1).detach(), s.x2, s.K1, s.K2, s.R, s.t).sum().backward()
+    reprojection_error(
+        exact, project(exact, s.K1).detach(), s.x2, s.K1, s.K2, s.R, s.t
+    ).sum().backward()
     assert exact.grad.isfinite().all()
 
 

@@ -52,5 +52,9 @@ def test_a_batch_is_its_items():
     together = bundle_adjust(*(torch.stack(a) for a in zip(*data)))
     for k, d in enumerate(data):
         alone = bundle_adjust(*d)
-        torch.testing.assert_close(pose_sensitivity(together)[k], pose_sensitivity(alone), rtol=1e-6, atol=1e-10)
-        torch.testing.assert_close(influence(together).cook[k], influence(alone).cook, rtol=1e-6, atol=1e-12)
+        torch.testing.assert_close(
+            pose_sensitivity(together)[k], pose_sensitivity(alone), rtol=1e-6, atol=1e-10
+        )
+        torch.testing.assert_close(
+            influence(together).cook[k], influence(alone).cook, rtol=1e-6, atol=1e-12
+        )

@@ -16,7 +16,10 @@ def known(batch: int, seed: int = 0) -> Similarity:
     rng = np.random.default_rng(seed)
     R = Rotation.random(batch, random_state=rng).as_matrix()
     return Similarity(
-        *(torch.from_numpy(v) for v in (np.exp(rng.normal(size=batch)), R, 10 * rng.normal(size=(batch, 3))))
+        *(
+            torch.from_numpy(v)
+            for v in (np.exp(rng.normal(size=batch)), R, 10 * rng.normal(size=(batch, 3)))
+        )
     )
 
 
@@ -45,10 +48,18 @@ def test_least_squares():
     found = fit_similarity(x, y)
 
     def residual(p):
-        return (np.exp(p[0]) * x.numpy() @ Rotation.from_rotvec(p[1:4]).as_matrix().T + p[4:] - y.numpy()).ravel()
+        return (
+            np.exp(p[0]) * x.numpy() @ Rotation.from_rotvec(p[1:4]).as_matrix().T
+            + p[4:]
+            - y.numpy()
+        ).ravel()
 
     start = np.concatenate(
-        [[np.log(float(found.s))], Rotation.from_matrix(found.R.numpy()).as_rotvec(), found.t.numpy()]
+        [
+            [np.log(float(found.s))],
+            Rotation.from_matrix(found.R.numpy()).as_rotvec(),
+            found.t.numpy(),
+        ]
     )
     best = least_squares(residual, start + 0.1, xtol=1e-14, ftol=1e-14)
     assert np.allclose(best.x, start, atol=1e-6)

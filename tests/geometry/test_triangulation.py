@@ -1,4 +1,5 @@
-"""Triangulation against known points, OpenCV, kornia, least squares and brute-force minimisation."""
+"""Triangulation against known points, OpenCV, kornia, least squares and brute-force
+minimisation."""
 
 from __future__ import annotations
 
@@ -29,7 +30,9 @@ D = torch.float64
 
 def scene(n: int = 50, noise: float = 0.0, seed: int = 0, baseline: float = 1.0):
     g = torch.Generator().manual_seed(seed)
-    X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor([-2.0, -1.5, 4.0])
+    X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor(
+        [-2.0, -1.5, 4.0]
+    )
     R = so3_exp(torch.tensor([0.1, -0.2, 0.05], dtype=D))
     t = baseline * torch.tensor([1.0, 0.2, -0.1], dtype=D)
     xn1, xn2 = seen(X), seen(X @ R.T + t)
@@ -64,7 +67,9 @@ def test_dlt_is_opencvs_and_kornias():
     Y = cv2.triangulatePoints(P1, P2, xn1.numpy().T, xn2.numpy().T)
     ours = triangulate_dlt(xn1, xn2, R, t)
     torch.testing.assert_close(ours, torch.from_numpy((Y[:3] / Y[3]).T), rtol=1e-9, atol=1e-9)
-    theirs = kornia_epipolar.triangulate_points(*(torch.from_numpy(P)[None] for P in (P1, P2)), xn1[None], xn2[None])
+    theirs = kornia_epipolar.triangulate_points(
+        *(torch.from_numpy(P)[None] for P in (P1, P2)), xn1[None], xn2[None]
+    )
     torch.testing.assert_close(ours, theirs[0], rtol=1e-9, atol=1e-9)
 
 
@@ -74,7 +79,9 @@ def test_midpoint_is_nearest_to_both_rays():
     for x1, x2, X in zip(xn1, xn2, ours):
         a, b = torch.cat((x1, torch.ones(1))), R.T @ torch.cat((x2, torch.ones(1)))
         # Distances to the rays 0 + s a and c + r b, projected on their normal planes.
-        Na, Nb = (torch.eye(3, dtype=D) - torch.outer(v, v) / (v @ v) for v in (a.double(), b.double()))
+        Na, Nb = (
+            torch.eye(3, dtype=D) - torch.outer(v, v) / (v @ v) for v in (a.double(), b.double())
+        )
         c = -R.T @ t
         torch.testing.assert_close(X, torch.linalg.solve(Na + Nb, Nb @ c), rtol=1e-9, atol=1e-9)
 
@@ -90,7 +97,9 @@ def test_optimal_is_the_brute_force_minimum():
             return np.concatenate((p[:2] / p[2] - xn1[k].numpy(), q[:2] / q[2] - xn2[k].numpy()))
 
         best = least_squares(residuals, X[k].numpy(), xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        assert 2 * best.cost <= (residuals(ours[k].numpy()) ** 2).sum() <= 2 * best.cost * (1 + 1e-6)
+        assert (
+            2 * best.cost <= (residuals(ours[k].numpy()) ** 2).sum() <= 2 * best.cost * (1 + 1e-6)
+        )
         np.testing.assert_allclose(ours[k].numpy(), best.x, rtol=1e-3)
 
 
@@ -137,7 +146,8 @@ def test_float32_is_float64_rounded_once(method, baseline):
     ours = triangulate(*rest32, method)
     assert ours.dtype == torch.float32
     torch.testing.assert_close(ours, exact.float(), rtol=1e-6, atol=0)
-    # What the rounding of the input itself does to the depth, 6e-8 over a parallax of baseline / 6, is not ours to mend.
+    # What the rounding of the input itself does to the depth, 6e-8 over a parallax of baseline / 6,
+    # is not ours to mend.
     assert float(relative(ours.double(), X).max()) < 3e-6 / baseline
 
 
@@ -152,13 +162,17 @@ def test_parallax(dtype, tolerance, degrees):
     torch.testing.assert_close(found.double()[0], angle, rtol=tolerance, atol=0)
 
 
-@pytest.mark.parametrize("function", [*(lambda *a, m=m: triangulate(*a, m, True) for m in METHODS), parallax])
+@pytest.mark.parametrize(
+    "function", [*(lambda *a, m=m: triangulate(*a, m, True) for m in METHODS), parallax]
+)
 def test_a_batch_is_its_items(function):
     items = [scene(seed=s, noise=0.01)[1:] for s in range(3)]
     if function is parallax:
         items = [i[:3] for i in items]
     together = function(*(torch.stack(a) for a in zip(*items)))
-    torch.testing.assert_close(together, torch.stack([function(*i) for i in items]), rtol=1e-14, atol=1e-15)
+    torch.testing.assert_close(
+        together, torch.stack([function(*i) for i in items]), rtol=1e-14, atol=1e-15
+    )
     mapped = torch.func.vmap(function)(*(torch.stack(a) for a in zip(*items)))
     torch.testing.assert_close(mapped, together, rtol=1e-13, atol=1e-14)
 
@@ -172,7 +186,9 @@ def test_swapping_and_permuting(seed, method):
     # DLT's algebraic error changes with the frame: its answer moves in second order of the noise.
     assert float(relative(swapped, X @ R.T + t).max()) < (1e-2 if method == "dlt" else 1e-6)
     order = torch.randperm(20, generator=torch.Generator().manual_seed(seed))
-    torch.testing.assert_close(triangulate(xn1[order], xn2[order], R, t, method), X[order], rtol=1e-13, atol=1e-13)
+    torch.testing.assert_close(
+        triangulate(xn1[order], xn2[order], R, t, method), X[order], rtol=1e-13, atol=1e-13
+    )
     scaled = triangulate(xn1, xn2, R, 3 * t, method)
     assert float(relative(scaled, 3 * X).max()) < (1e-2 if method == "dlt" else 1e-9)
 

@@ -25,24 +25,34 @@ GEOMETRIES = [
 ]
 
 
-def normalised_errors(trials: int, seed: int, geometry: tuple) -> tuple[torch.Tensor, torch.Tensor, int]:
-    """Squared normalised errors of pose (trials,) and points (trials, N), over their 5 and 3 dimensions."""
+def normalised_errors(
+    trials: int, seed: int, geometry: tuple
+) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """Squared normalised errors of pose (trials,) and points (trials, N), over their 5 and 3
+    dimensions."""
     n, noise, tilt, direction, depth = geometry
     g = torch.Generator().manual_seed(seed)
     K = torch.tensor([[1000.0, 0, 640], [0, 1000, 480], [0, 0, 1]], dtype=D).expand(trials, 3, 3)
-    ray = torch.rand(trials, n, 2, generator=g, dtype=D) * torch.tensor([1.2, 0.9]) - torch.tensor([0.6, 0.45])
+    ray = torch.rand(trials, n, 2, generator=g, dtype=D) * torch.tensor([1.2, 0.9]) - torch.tensor(
+        [0.6, 0.45]
+    )
     z = depth * (0.6 + 0.8 * torch.rand(trials, n, 1, generator=g, dtype=D))
     X = torch.cat((ray * z, z), -1)
     R = so3_exp(torch.tensor(tilt, dtype=D)).expand(trials, 3, 3)
     t = torch.nn.functional.normalize(torch.tensor(direction, dtype=D), dim=0).expand(trials, 3)
-    x1, x2 = (x + noise * torch.randn(x.shape, generator=g, dtype=D) for x in (project(X, K), project(X, K, R, t)))
+    x1, x2 = (
+        x + noise * torch.randn(x.shape, generator=g, dtype=D)
+        for x in (project(X, K), project(X, K, R, t))
+    )
     b = bundle_adjust(x1, x2, K, K, R, t)
     assert bool(b.converged.all())
     c = covariance(b)
     assert float(c.sigma_px.mean()) == pytest.approx(noise, rel=0.05)
     along = ((t * b.t).sum(-1, keepdim=True)).clamp(-1, 1)
     towards = t - along * b.t
-    turn = torch.nn.functional.normalize(towards, dim=-1) * torch.atan2(towards.norm(dim=-1, keepdim=True), along)
+    turn = torch.nn.functional.normalize(towards, dim=-1) * torch.atan2(
+        towards.norm(dim=-1, keepdim=True), along
+    )
     e = torch.cat((so3_log(R @ b.R.mT), (tangent_basis(b.t).mT @ turn[..., None])[..., 0]), -1)
     pose = (e * torch.linalg.solve(c.pose, e)).sum(-1) / 5
     points = ((X - b.X) * torch.linalg.solve(c.points, X - b.X)).sum(-1) / 3
@@ -86,7 +96,9 @@ def test_covariance_is_the_inverse_of_the_whole_normal_matrix():
 
     def residuals(p: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
         R, t = so3_exp(p[:3]) @ b.R, sphere_exp(b.t, tangent_basis(b.t) @ p[3:])
-        return (w.sqrt()[:, None] * reprojection_residuals(X, s.x1, s.x2, s.K1, s.K2, R, t)).flatten()
+        return (
+            w.sqrt()[:, None] * reprojection_residuals(X, s.x1, s.x2, s.K1, s.K2, R, t)
+        ).flatten()
 
     zero = torch.zeros(5, dtype=D)
     by_pose, by_points = torch.func.jacrev(residuals, (0, 1))(zero, b.X)
@@ -106,7 +118,9 @@ def test_covariance_is_the_inverse_of_the_whole_normal_matrix():
 def test_a_robust_loss_knows_the_noise_too(loss, scale):
     s = make_scene(400, noise=0.5)
     squared = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t))
-    robust = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, loss=loss, loss_scale=scale))
+    robust = covariance(
+        bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, loss=loss, loss_scale=scale)
+    )
     assert float(robust.sigma_px) == pytest.approx(0.5, rel=0.1)
     torch.testing.assert_close(robust.sigma_deg, squared.sigma_deg, rtol=0.15, atol=0)
 
@@ -122,7 +136,9 @@ def test_a_free_focal_length_costs_certainty():
 def test_a_batch_is_its_items():
     scenes = [make_scene(30, noise=0.5, seed=k) for k in range(2)]
     together = covariance(
-        bundle_adjust(*(torch.stack(a) for a in zip(*((s.x1, s.x2, s.K1, s.K2, s.R, s.t) for s in scenes))))
+        bundle_adjust(
+            *(torch.stack(a) for a in zip(*((s.x1, s.x2, s.K1, s.K2, s.R, s.t) for s in scenes)))
+        )
     )
     for k, s in enumerate(scenes):
         alone = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t))

@@ -1,0 +1,156 @@
+"""One registry per extension point: names, entry points and import paths of plug-ins."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Callable, Iterator
+from difflib import get_close_matches
+from functools import cached_property
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points, packages_distributions, version
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from .._version import __version__
+from ..errors import InputError
+
+T = TypeVar("T", bound=Callable)
+
+
+class Registry(Generic[T]):
+    """The plug-ins of one kind.
+
+    A plug-in is found, in this order, by the name under which it was registered, by the name of an
+    installed entry point, or by an import path ``package.module:name``.
+
+    Args:
+        kind: What the plug-ins are, singular, for messages: ``operator``.
+        group: Entry-point group of installed packages: ``sfmkit.operators``.
+        error: Exception class for a name that is not found or a plug-in that cannot be loaded.
+    """
+
+    def __init__(self, kind: str, group: str, error: type[InputError] = InputError) -> None:
+        self.kind, self.group, self.error = kind, group, error
+        self._registered: dict[str, T] = {}
+
+    def register(self, name: str, plugin: T) -> T:
+        """Register a plug-in under a name; registering it again under this name changes nothing.
+
+        Raises:
+            InputError: `plugin` is not callable, the name is malformed, or it is taken by another.
+        """
+        if not callable(plugin):
+            raise InputError(f"{self.kind} '{name}' must be callable, not {type(plugin).__name__}")
+        if not name or not name.isprintable() or set(name) & set(" ,:=/\\"):
+            raise InputError(f"{name!r} cannot name a plug-in: no spaces and none of , : = / \\")
+        if self._registered.setdefault(name, plugin) is not plugin:
+            raise InputError(f"there is already another {self.kind} '{name}'")
+        return plugin
+
+    def unregister(self, name: str) -> None:
+        """Remove a registered name; for tests and notebooks that replace a plug-in."""
+        self._registered.pop(name, None)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._registered or name in self._entry_points or ":" in name
+
+    def __iter__(self) -> Iterator[str]:
+        """The registered names, then those of entry points."""
+        return iter(dict.fromkeys([*self._registered, *self._entry_points]))
+
+    def __getitem__(self, name: str) -> T:
+        """The plug-in called `name`.
+
+        Raises:
+            InputError: (or the registry's own class) there is none, or loading it failed.
+        """
+        if name in self._registered:
+            return self._registered[name]
+        if name not in self._entry_points and ":" not in name:
+            near = get_close_matches(name, list(self), n=1)
+            hint = f" Did you mean '{near[0]}'?" if near else ""
+            raise self.error(f"unknown {self.kind} '{name}'.{hint} Known: {', '.join(self)}")
+        try:
+            if name in self._entry_points:
+                plugin = self._entry_points[name].load()
+            else:
+                module, _, attribute = name.partition(":")
+                plugin = import_module(module)
+                for part in attribute.split("."):
+                    plugin = getattr(plugin, part)
+        except Exception as error:  # a plug-in's module may raise anything when it is imported
+            reason = f"{type(error).__name__}: {error}"
+            raise self.error(f"cannot load {self.kind} '{name}': {reason}") from error
+        if not callable(plugin):
+            raise self.error(f"{self.kind} '{name}' is a {type(plugin).__name__}, not callable")
+        return plugin
+
+    def import_path(self, name: str) -> str:
+        """A name under which another process finds the same plug-in.
+
+        Raises:
+            InputError: the plug-in lives in ``__main__``, a notebook or a closure.
+        """
+        plugin = self[name]
+        if name not in self._registered or self.is_built_in(name):
+            return name
+        module, qualname = _place(plugin)
+        try:
+            found = import_module(module)
+            for part in qualname.split("."):
+                found = getattr(found, part)
+        except (ImportError, AttributeError, ValueError):
+            found = None
+        if module == "__main__" or found is not plugin:
+            raise self.error(
+                f"{self.kind} '{name}' cannot be imported by another process ({module}:{qualname}); "
+                "define it at the top level of an importable module"
+            )
+        return f"{module}:{qualname}"
+
+    def is_built_in(self, name: str) -> bool:
+        """Whether the plug-in is part of sfmkit."""
+        return _place(self[name])[0].split(".")[0] == "sfmkit"
+
+    def provenance(self, name: str) -> str:
+        """What identifies the plug-in's code: its distribution with version, and its source.
+
+        Used in cache keys and reports. The digest covers every Python file of the module's
+        top-level package, or the module alone where it is a single file.
+        """
+        if self.is_built_in(name):
+            return f"sfmkit {__version__}"
+        module, qualname = _place(self[name])
+        top = module.split(".")[0]
+        distributions = packages_distributions().get(top, [])
+        known = ", ".join(f"{d} {version(d)}" for d in sorted(set(distributions)))
+        return f"{known or module} {qualname} sha256:{_source_digest(top)}"
+
+    @cached_property
+    def _entry_points(self) -> dict[str, EntryPoint]:
+        return {point.name: point for point in entry_points(group=self.group)}
+
+
+def _place(plugin: Callable) -> tuple[str, str]:
+    """Module and qualified name of a function, class or instance."""
+    owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
+    return owner.__module__, owner.__qualname__
+
+
+def _source_digest(package: str) -> str:
+    """Digest of a package's Python files as they are on the disk now."""
+    module = sys.modules.get(package)
+    try:
+        file = Path(inspect.getfile(module)) if module is not None else None
+    except TypeError:
+        file = None
+    if file is None or not file.is_file():
+        return "unknown"
+    files = sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.relative_to(file.parent).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

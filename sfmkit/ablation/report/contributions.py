@@ -1,0 +1,126 @@
+"""What each operator contributes: the loss without it, and its Shapley value over all
+combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+
+from ...errors import InputError
+from .intervals import Interval, mean_interval
+from .scores import Scores, Setup
+
+NOTHING = 0.0  # the quality of no operator at all: no answer
+
+Game = Mapping[frozenset[str], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Contributions:
+    """Of the operators of a data set, in the unit of the quality (AUC).
+
+    Attributes:
+        variant: preset and changed settings that they are of.
+        operators: n names.
+        alone: quality of each by itself.
+        without: loss of quality when one is left out of all.
+        shapley: values, which add up to the quality of all; None where combinations are missing.
+        missing: then how many, and an example.
+    """
+
+    variant: str
+    operators: tuple[str, ...]
+    alone: Interval | None
+    without: Interval | None
+    shapley: Interval | None
+    missing: str = ""
+
+
+def shapley(game: Game, players: Sequence[str], nothing: float = NOTHING) -> np.ndarray:
+    """Exact Shapley values,
+    ``phi_i = sum over S without i of |S|! (n - |S| - 1)! / n! (v(S + i) - v(S))``.
+
+    Args:
+        game: value (...) of every non-empty set of players: numbers or arrays of one shape.
+        nothing: the empty set's value.
+
+    Returns:
+        (..., n).
+
+    Source: Shapley 1953; the values add up to ``v(all) - nothing``.
+
+    Raises:
+        InputError: combinations are missing; the message says which.
+    """
+    missing = missing_combinations(game, players)
+    if missing:
+        raise InputError(f"Shapley values need every combination; {_say_missing(missing, players)}")
+    n = len(players)
+    some = np.asarray(game[frozenset(players)], dtype=np.float64)
+
+    def value(members: frozenset[str]) -> np.ndarray:
+        return (
+            np.asarray(game[members], dtype=np.float64) if members else np.full_like(some, nothing)
+        )
+
+    shares = []
+    for i in players:
+        others = [p for p in players if p != i]
+        share = np.zeros_like(some)
+        for size in range(n):
+            weight = factorial(size) * factorial(n - size - 1) / factorial(n)
+            for subset in map(frozenset, combinations(others, size)):
+                share = share + weight * (value(subset | {i}) - value(subset))
+        shares.append(share)
+    return np.stack(shares, axis=-1)
+
+
+def missing_combinations(game: Game, players: Sequence[str]) -> list[tuple[str, ...]]:
+    every = (c for size in range(1, len(players) + 1) for c in combinations(players, size))
+    return [c for c in every if frozenset(c) not in game]
+
+
+def _say_missing(missing: Sequence[tuple[str, ...]], players: Sequence[str]) -> str:
+    return (
+        f"{len(missing)} of {2 ** len(players) - 1} are not in this sweep, e.g. {'/'.join(missing[0])}: run it with "
+        "--combos all"
+    )
+
+
+def contributions(scores: Scores) -> list[Contributions]:
+    """Of every operator, for each preset and choice of changed settings that the sweep has of all
+    operators together.
+
+    A loss without an operator is paired: computed pair by pair, like the Shapley values, on the
+    same bootstrap samples.
+    """
+    everything = max(len(s.operators) for s in scores.setups)
+    largest = [s for s in scores.setups if len(s.operators) == everything]
+    if len({s.operators for s in largest}) > 1 or everything < 2:
+        return []
+    return [_contributions(scores, s) for s in largest]
+
+
+def _contributions(scores: Scores, full: Setup) -> Contributions:
+    game: dict[frozenset[str], np.ndarray] = {}
+    for c, setup in enumerate(scores.setups):
+        if setup == full.only(setup.operators):
+            game[frozenset(setup.operators)] = scores.quality[:, c]
+    players, all_of_them = full.operators, frozenset(full.operators)
+    singles = [game.get(frozenset({o})) for o in players]
+    left_out = [game.get(all_of_them - {o}) for o in players]
+    missing = missing_combinations(game, players)
+    return Contributions(
+        full.changes,
+        players,
+        None if any(v is None for v in singles) else mean_interval(np.stack(singles, axis=1)),  # type: ignore[arg-type]
+        None
+        if any(v is None for v in left_out)
+        else mean_interval(np.stack([game[all_of_them] - v for v in left_out], axis=1)),  # type: ignore[operator]
+        None if missing else mean_interval(shapley(game, players)),
+        _say_missing(missing, players) if missing else "",
+    )

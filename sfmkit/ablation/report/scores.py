@@ -1,0 +1,238 @@
+"""What a sweep measured, as arrays: pair x setup x seed, one block for each data set.
+
+Everything that is computed of an ablation starts here. Runs without an answer stay in: a
+combination that gives up, or whose run breaks off, has an infinite error, the worst there is, so
+that no average improves by leaving hard pairs out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How an error counts.
+
+    Attributes:
+        unit: ``px`` or ``°``.
+        name: what the error is.
+        thresholds: of the areas under the curve, in the unit.
+        main: the one that setups are compared by.
+        ceiling: what no error, and no failure, exceeds in a mean.
+    """
+
+    unit: str
+    name: str
+    thresholds: tuple[float, ...]
+    main: float
+    ceiling: float
+
+    def show(self, value: float) -> str:
+        """A value with its unit."""
+        return f"{value:g}°" if self.unit == "°" else f"{value:g} {self.unit}"
+
+
+MEASURES = {
+    "px": Measure(
+        "px", "mean distance of the corners from their true places", (1, 3, 5, 10), 5, 100
+    ),
+    "deg": Measure("°", "larger of rotation and translation error", (1, 5, 10, 20), 5, 180),
+}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is compared: operators, with a preset and changed settings."""
+
+    operators: tuple[str, ...]
+    preset: str
+    vary: str = "{}"
+
+    @property
+    def combination(self) -> str:
+        return "/".join(self.operators)
+
+    @property
+    def changes(self) -> str:
+        """Preset and changed settings in words."""
+        changed = ", ".join(f"{name} {value}" for name, value in json.loads(self.vary).items())
+        return f"{self.preset}, {changed}" if changed else self.preset
+
+    def only(self, operators: Iterable[str]) -> Setup:
+        """The setup of some of the operators with what of the changes concerns them: a sweep has no
+        other."""
+        some = tuple(operators)
+        changes = {
+            k: v for k, v in json.loads(self.vary).items() if k.rpartition(".")[0] in ("", *some)
+        }
+        return Setup(some, self.preset, json.dumps(changes))
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One data set's errors.
+
+    Attributes:
+        dataset: its name.
+        measure: what the errors are.
+        pairs: P names.
+        setups: C of them, small combinations first.
+        operators: of the sweep, in its order.
+        errors: (P, C, S), in the measure's unit; infinite where there is no answer.
+        seconds: (P, C, S) of all stages, as if the setup ran alone; NaN where a run broke off.
+        broken: (P, C, S) bool: runs that broke off, as against those that gave up.
+    """
+
+    dataset: str
+    measure: Measure
+    pairs: tuple[str, ...]
+    setups: tuple[Setup, ...]
+    operators: tuple[str, ...]
+    errors: np.ndarray
+    seconds: np.ndarray
+    broken: np.ndarray
+
+    def auc(self, threshold: float) -> np.ndarray:
+        """(P, C) area under "share of the seeds with an error of at most e", e from 0 to the
+        threshold, over it.
+
+        The mean over the pairs is the AUC over all pairs and seeds, so intervals and contributions
+        are linear in it.
+        """
+        return np.clip(1 - self.errors / threshold, 0, None).mean(axis=2)
+
+    @cached_property
+    def quality(self) -> np.ndarray:
+        """(P, C) the AUC that setups are compared by; 0 for no answer, 1 for no error."""
+        return self.auc(self.measure.main)
+
+    @cached_property
+    def capped(self) -> np.ndarray:
+        """(P, C, S) errors with failures, and what is worse than them, at the ceiling."""
+        return np.minimum(self.errors, self.measure.ceiling)
+
+    @property
+    def seeds(self) -> int:
+        return self.errors.shape[2]
+
+    @property
+    def failures(self) -> np.ndarray:
+        """(C,) runs without an answer."""
+        return np.isinf(self.errors).sum(axis=(0, 2))
+
+    @cached_property
+    def several(self) -> bool:
+        """Whether setups differ in more than their operators."""
+        return len({(s.preset, s.vary) for s in self.setups}) > 1
+
+    def label(self, setup: int) -> str:
+        """A setup's name in tables and plots."""
+        s = self.setups[setup]
+        return f"{s.combination} ({s.changes})" if self.several else s.combination
+
+    @property
+    def labels(self) -> list[str]:
+        return [self.label(c) for c in range(len(self.setups))]
+
+    @property
+    def singles(self) -> list[int]:
+        """Setups of one operator."""
+        return [c for c, s in enumerate(self.setups) if len(s.operators) == 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Ablation:
+    """A sweep's scores.
+
+    Attributes:
+        blocks: one for each data set (and unit, where a data set has pairs of both kinds).
+        without_truth: names of data sets, or parts of them, whose rows cannot be scored, with how
+            many rows these are.
+    """
+
+    blocks: tuple[Scores, ...]
+    without_truth: Mapping[str, int]
+
+
+def score(rows: Iterable[Row]) -> Ablation:
+    """Scores of the rows of a sweep (columns as in ``docs/ablation.md``), in whatever order they
+    come.
+
+    Raises:
+        InputError: no row has a truth to compare with; rows are missing or there twice.
+    """
+    known: dict[tuple[str, str], list[Row]] = {}
+    without: dict[str, int] = {}
+    for row in rows:
+        if row["has_truth"]:
+            known.setdefault((row["dataset"], row["error_unit"]), []).append(row)
+        else:
+            without[row["dataset"]] = without.get(row["dataset"], 0) + 1
+    if not known:
+        raise InputError(
+            "no row of this sweep has a true geometry to compare with; run it on data with ground truth, such as "
+            "oxford, strecha, synthetic or planes"
+        )
+    units = [dataset for dataset, _ in known]
+    blocks = []
+    for dataset, unit in sorted(known):
+        name = dataset if units.count(dataset) == 1 else f"{dataset} ({MEASURES[unit].unit})"
+        blocks.append(_block(name, MEASURES[unit], known[dataset, unit]))
+    return Ablation(tuple(blocks), dict(sorted(without.items())))
+
+
+def _block(dataset: str, measure: Measure, rows: Sequence[Row]) -> Scores:
+    order = _operator_order(rows)
+    setups = sorted(
+        {_setup(r) for r in rows},
+        key=lambda s: (len(s.operators), [order.index(o) for o in s.operators], s.preset, s.vary),
+    )
+    pairs = sorted({f"{r['sequence']} {r['pair']}" for r in rows})
+    seeds = sorted({r["seed"] for r in rows})
+    at_setup, at_pair, at_seed = (
+        {v: i for i, v in enumerate(values)} for values in (setups, pairs, seeds)
+    )
+    shape = (len(pairs), len(setups), len(seeds))
+    errors, seconds, broken = (
+        np.full(shape, np.nan),
+        np.full(shape, np.nan),
+        np.zeros(shape, dtype=bool),
+    )
+    for r in rows:
+        at = at_pair[f"{r['sequence']} {r['pair']}"], at_setup[_setup(r)], at_seed[r["seed"]]
+        if not np.isnan(errors[at]):
+            raise InputError(
+                f"{dataset}: {pairs[at[0]]}, {setups[at[1]].combination}, seed {r['seed']} is there twice"
+            )
+        errors[at] = np.inf if r["error"] is None else r["error"]
+        seconds[at] = np.nan if r["seconds"] is None else r["seconds"]
+        broken[at] = r["status"] == "failed"
+    if np.isnan(errors).any():
+        p, c, s = np.argwhere(np.isnan(errors))[0]
+        raise InputError(
+            f"{dataset}: {int(np.isnan(errors).sum())} of {errors.size} rows are missing, e.g. {pairs[p]}, "
+            f"{setups[c].combination}, seed {seeds[s]}; end the sweep first, with the command that began it"
+        )
+    return Scores(dataset, measure, tuple(pairs), tuple(setups), order, errors, seconds, broken)
+
+
+def _setup(row: Row) -> Setup:
+    return Setup(tuple(row["operators"]), row["preset"], row["vary"])
+
+
+def _operator_order(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The operators in the order that the sweep has them in: the largest combination tells most of
+    it."""
+    combinations = sorted({tuple(r["operators"]) for r in rows}, key=lambda c: (-len(c), c))
+    return tuple(dict.fromkeys(o for c in combinations for o in c))

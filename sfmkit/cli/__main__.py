@@ -1,0 +1,5 @@
+"""``python -m sfmkit.cli``."""
+
+from . import main
+
+main()

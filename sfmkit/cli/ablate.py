@@ -1,0 +1,228 @@
+"""``sfmkit ablate``: every combination of operators on every pair. Subcommands read what a sweep
+made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .ablate_report import report
+from .parsing import names, size_in_bytes
+from .progress import goes_on
+
+
+@click.group(invoke_without_command=True, subcommand_metavar="[COMMAND ...]")
+@click.option(
+    "--data",
+    metavar="A,B",
+    callback=names,
+    help="Data sets, e.g. oxford,strecha,uav,synthetic,planes; some sequences of one: oxford:graf+wall.",
+)
+@click.option(
+    "--operators", default="surf,orb,fast-brief", show_default=True, callback=names, metavar="A,B"
+)
+@click.option(
+    "--combos",
+    default="all",
+    show_default=True,
+    metavar="all|pairs|leave-one-out|LIST",
+    help="Which combinations; a list is surf/orb,sift.",
+)
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, metavar="N")
+@click.option(
+    "--preset",
+    default="default",
+    show_default=True,
+    callback=names,
+    metavar="A,B",
+    help="default, dense or paper; several: each of them.",
+)
+@click.option(
+    "--vary",
+    multiple=True,
+    metavar="NAME=V1,V2",
+    help="Values of a setting: of a stage (budget, max_ratio, merge_radius, threshold_px, ...) or of an operator "
+    "(surf.hessian_threshold, or hessian for short). Several times: every combination.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/ablation"),
+    show_default=True,
+    help="Folder of the sweep.",
+)
+@click.option(
+    "--dry-run", is_flag=True, help="Print what would be done, and about how long it takes."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Local processes; default: one a core.",
+)
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on this Dask cluster instead.")
+@click.option(
+    "--ship",
+    type=click.Choice(["path", "bytes"]),
+    default="path",
+    show_default=True,
+    help="The cluster's workers see the same files, or images travel to them and arrays back.",
+)
+@click.option(
+    "--cache",
+    type=click.Path(path_type=Path),
+    help="Folder; default: SFMKIT_CACHE, or the user's cache.",
+)
+@click.option(
+    "--cache-size",
+    default="8GB",
+    show_default=True,
+    callback=size_in_bytes,
+    help="Its largest size.",
+)
+@click.option(
+    "--root",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
+)
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
+def ablate(ctx: click.Context, **options: Any) -> None:
+    """Run every combination of operators on every pair of the data sets; the result is one table,
+    OUT/ablation.parquet.
+
+    Detections, matchings and estimates are cached. Stop it whenever you like, by whatever means:
+    the same command goes on where it was.
+
+    \b
+    sfmkit ablate --data oxford,strecha --operators surf,orb,fast-brief,sift,akaze --seeds 3
+    --dry-run
+    """
+    if ctx.invoked_subcommand is None:
+        run(**options)
+
+
+ablate.add_command(report)
+
+
+def run(
+    data: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    combos: str,
+    seeds: int,
+    preset: tuple[str, ...],
+    vary: tuple[str, ...],
+    out: Path,
+    dry_run: bool,
+    workers: int | None,
+    scheduler: str | None,
+    ship: Any,
+    cache: Path | None,
+    cache_size: int,
+    root: Path | None,
+    quiet: bool,
+) -> None:
+    from ..errors import InputError
+
+    if not data:
+        raise InputError(
+            "name the data sets, e.g. --data oxford,strecha; `sfmkit ablate --help` shows all options"
+        )
+    from rich.console import Console
+
+    from ..ablation import ablate as start
+    from ..ablation.variants import parse_vary
+    from ..ablation.watching import bar
+
+    settings = parse_vary(vary)
+    if dry_run:
+        print_plan(data, operators, combos, seeds, preset, settings, cache, root, workers)
+        return
+    with goes_on(), bar(enabled=not quiet, console=Console(stderr=True)) as watch:
+        table = start(
+            data,
+            operators,
+            combos=combos,
+            seeds=seeds,
+            preset=preset,
+            vary=settings,
+            out=out,
+            root=root,
+            workers=workers,
+            scheduler=scheduler,
+            ship=ship,
+            cache=cache,
+            cache_limit=cache_size,
+            progress=watch,
+        )
+    if not quiet:
+        from ..ablation.watching import print_overview
+
+        print_overview(table)
+        click.echo(f"{len(table):,} rows in {table.path}; `sfmkit ablate report {out}` judges them")
+
+
+def print_plan(
+    data: tuple[str, ...],
+    operators: tuple[str, ...],
+    combos: str,
+    seeds: int,
+    preset: tuple[str, ...],
+    vary: dict[str, list[str]],
+    cache: Path | None,
+    root: Path | None,
+    workers: int | None,
+) -> None:
+    """What ``--dry-run`` says."""
+    import os
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..ablation import make_plan
+    from ..ablation.cache import Cache, cache_folder
+    from ..ablation.watching import duration
+    from .progress import progress
+
+    store = Cache(cache or cache_folder())
+    with progress(enabled=True) as say:
+        plan = make_plan(
+            data,
+            operators,
+            combos=combos,
+            seeds=seeds,
+            presets=preset,
+            vary=vary,
+            root=root,
+            cache=store,
+            say=say,
+        )
+        counts = plan.count(store)
+    table = Table(
+        "",
+        "in all",
+        "in the cache",
+        "to do",
+        title=f"{len(plan.pairs)} pairs, {len(plan.combinations)} combinations",
+    )
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for what, kind, n in (
+        ("detections", "features", counts.detections),
+        ("matchings", "matches", counts.matchings),
+        ("estimates", "estimates", counts.estimates),
+    ):
+        have = counts.cached[kind]
+        table.add_row(what, f"{n:,}", f"{have:,}", f"{n - have:,}")
+    Console().print(table)
+    n = workers or os.cpu_count() or 1
+    failing = sum(1 for pair in plan.pairs if pair.failure)
+    if failing:
+        click.echo(
+            f"{failing} pairs cannot be run: {next(p.failure for p in plan.pairs if p.failure)}"
+        )
+    click.echo(
+        f"{counts.rows:,} rows; about {duration(counts.seconds / n)} on {n} workers (within a factor of two)"
+    )

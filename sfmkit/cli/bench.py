@@ -1,0 +1,270 @@
+"""``sfmkit bench``: the paper's experiments, rerun."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from .parsing import names
+from .progress import goes_on
+
+if TYPE_CHECKING:
+    from ..reports.result import Result
+
+
+@click.group()
+def bench() -> None:
+    """Rerun the paper's experiments and print its tables with our values beside its own."""
+
+
+OPERATORS = click.option(
+    "--operators",
+    default="surf,orb,fast-brief",
+    show_default=True,
+    callback=names,
+    help="Each runs alone, and all together.",
+)
+DATA = click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
+)
+
+
+def PRESETS(default: str) -> Callable:
+    """The option --presets with its default."""
+    return click.option(
+        "--presets", default=default, show_default=True, callback=names, help="Recipes to compare."
+    )
+
+
+MAX_SIZE = click.option(
+    "--max-size",
+    type=click.IntRange(min=16),
+    metavar="PX",
+    help="Detect on images reduced to this longest side.",
+)
+
+
+def OUT(name: str) -> Callable:
+    """The option --out with its default."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        default=Path("out") / name,
+        show_default=True,
+        help="Folder to write.",
+    )
+
+
+@bench.command()
+@click.option(
+    "--sequences", callback=names, metavar="A,B", help="Some of the eight sequences; default: all."
+)
+@OPERATORS
+@click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core."
+)
+@OUT("oxford")
+@DATA
+def oxford(
+    sequences: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    seeds: int,
+    workers: int | None,
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Tables 2 to 5 and Figures 7 to 10: homographies of the Oxford set. Goes on where an earlier
+    run stopped."""
+    from ..evaluation.oxford import bench_oxford
+    from ..evaluation.oxford_tables import oxford_result
+
+    with parts_bar("oxford") as report:
+        rows = bench_oxford(
+            out,
+            data=data,
+            sequences=sequences,
+            operators=operators,
+            seeds=seeds,
+            workers=workers,
+            progress=report,
+        )
+    hand_over(out, oxford_result(rows, out, command_line()))
+
+
+@bench.command()
+@click.option(
+    "--pairs", callback=names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours."
+)
+@OPERATORS
+@PRESETS("paper,default,dense")
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
+@MAX_SIZE
+@click.option(
+    "--scenes",
+    default="courtyard,wide,dish",
+    show_default=True,
+    callback=names,
+    help="Rendered scenes; '' for none.",
+)
+@OUT("fountain")
+@DATA
+def fountain(
+    pairs: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    presets: tuple[str, ...],
+    seeds: int,
+    max_size: int | None,
+    scenes: tuple[str, ...],
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Table 6 and Figure 11: features through the process to the cloud, against true cameras and
+    rendered surfaces."""
+    from ..evaluation.fountain import bench_fountain
+    from ..evaluation.fountain_tables import fountain_result
+
+    with parts_bar("fountain") as report:
+        rows = bench_fountain(
+            out,
+            data=data,
+            pairs=pairs,
+            operators=operators,
+            presets=presets,
+            seeds=seeds,
+            max_size=max_size,
+            scenes=scenes,
+            progress=report,
+        )
+    hand_over(out, fountain_result(rows, out, command_line()))
+
+
+@bench.command()
+@click.option("--sequence", metavar="NAME", help="Folder below uav/; default: the first.")
+@click.option(
+    "--step",
+    type=int,
+    metavar="N",
+    help="How far apart photographs of a wide pair are.  [default: 4]",
+)
+@click.option(
+    "--box",
+    metavar="X0,Y0,X1,Y1",
+    help="The target, pixels of the first photograph; default: its middle third.",
+)
+@OPERATORS
+@PRESETS("default,dense")
+@MAX_SIZE
+@click.option(
+    "--colmap/--no-colmap",
+    default=True,
+    show_default=True,
+    help="Run COLMAP too (the peers extra).",
+)
+@click.option(
+    "--cloud",
+    "clouds",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="PLY",
+    help="Another program's cloud of the same scene; may be given several times.",
+)
+@OUT("uav")
+@DATA
+def uav(
+    sequence: str | None,
+    step: int | None,
+    box: str | None,
+    operators: tuple[str, ...],
+    presets: tuple[str, ...],
+    max_size: int | None,
+    colmap: bool,
+    clouds: tuple[Path, ...],
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Tables 7 and 8: drone photographs, small shift and wide baseline, beside COLMAP and others'
+    clouds."""
+    from ..evaluation.uav import bench_uav, open_flight, parse_box
+    from ..evaluation.uav_tables import uav_result
+
+    with parts_bar("uav") as report:
+        rows = bench_uav(
+            out,
+            data=data,
+            sequence=sequence,
+            step=step,
+            box=box,
+            operators=operators,
+            presets=presets,
+            max_size=max_size,
+            colmap=colmap,
+            clouds=clouds,
+            progress=report,
+        )
+    flight = open_flight(data, sequence, step)
+    hand_over(
+        out, uav_result(rows, flight, parse_box(box, flight.camera.size_wh), out, command_line())
+    )
+
+
+def command_line() -> str:
+    """What was typed, as it can be typed again; without the folders, which differ from machine to
+    machine."""
+    context = click.get_current_context()
+    words = context.command_path.replace("\\", "/").rsplit("/", 1)[-1].split()
+    for option in context.command.params:
+        name = option.name or ""
+        if (
+            name in ("data", "out")
+            or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE
+        ):
+            continue
+        value = context.params[name]
+        if isinstance(value, bool):
+            words.append(option.opts[0] if value else option.secondary_opts[0])
+        elif getattr(option, "multiple", False):
+            words += [word for path in value for word in (option.opts[0], Path(path).name)]
+        else:
+            words += [option.opts[0], ",".join(value) if isinstance(value, tuple) else str(value)]
+    return shlex.join(words)
+
+
+@contextmanager
+def parts_bar(bench: str) -> Iterator[Callable[[int, int, str], None]]:
+    """A progress bar on standard error: a function of parts done, parts in all, and what is being
+    or was done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn(bench),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with goes_on(), Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total, what: bar.update(
+            task, completed=done, total=total, description=what
+        )
+
+
+def hand_over(folder: Path, result: Result) -> None:
+    """Write a benchmark's result into its folder, and print its tables and where the files are."""
+    from ..reports.result import write_result
+    from .summary import print_result
+
+    files = write_result(folder, result)
+    print_result(result)
+    figures = [figure.file for figure in result.figures]
+    click.echo(f"{folder}: {', '.join([*(file.name for file in files), *figures])}")

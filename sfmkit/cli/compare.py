@@ -1,0 +1,161 @@
+"""``sfmkit compare``: two clouds of one thing brought together and measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .._utils.writing import check_free
+from ..errors import InputError
+from .clouds import read_cloud
+from .progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+CLOUD = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("first", type=CLOUD, metavar="A.ply")
+@click.argument("second", type=CLOUD, metavar="B.ply")
+@click.option(
+    "--radius",
+    type=float,
+    metavar="R",
+    help="Of the density, in A's unit.  [default: 10 x its points' spacing]",
+)
+@click.option(
+    "--pairs",
+    type=CLOUD,
+    metavar="FILE",
+    help="Where to start: lines of two numbers, a vertex of A and of B, from 0.",
+)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/compare"),
+    show_default=True,
+    help="Folder to write.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def compare(
+    first: Path,
+    second: Path,
+    radius: float | None,
+    pairs: Path | None,
+    seed: int,
+    out: Path,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Move B.ply onto A.ply (turned, scaled and shifted as it takes) and tell counts, densities and
+    distances.
+
+    Writes compare.json, compare.png and second.ply (B in A's frame and unit) to the folder --out.
+    Exit status 1: the position is doubtful, as with symmetrical things and clouds that share less
+    than four fifths; give --pairs.
+    """
+    import sys
+
+    from .exit_status import OK, UNTRUSTWORTHY
+
+    check_free(out, overwrite)
+    with progress(enabled=not quiet and not as_json) as say:
+        say("read", f"{first}, {second}")
+        from ..clouds.comparison import compare as compare_clouds
+        from ..clouds.density import check_radius
+        from ..reports.comparison import write_comparison
+
+        if radius is not None:
+            check_radius(radius)
+        rows = None if pairs is None else _read_pairs(pairs)
+        found = compare_clouds(
+            read_cloud(first),
+            read_cloud(second),
+            radius=radius,
+            pairs=rows,
+            seed=seed,
+            progress=say,
+        )
+        say("write", str(out))
+        write_comparison(found, out, overwrite=overwrite)
+    numbers = found.numbers()
+    if as_json:
+        import json
+
+        click.echo(json.dumps(numbers, indent=1))
+    elif not quiet:
+        _print(numbers, out)
+    if found.alignment.doubtful:
+        click.echo(
+            "warning: B may lie wrongly: another position fits nearly as well, or too little has a partner; look at compare.png, and give --pairs",
+            err=True,
+        )
+    sys.exit(UNTRUSTWORTHY if found.alignment.doubtful else OK)
+
+
+def _read_pairs(path: Path) -> np.ndarray:
+    import numpy as np
+
+    try:
+        pairs = np.array(
+            [
+                [int(word) for word in line.split()]
+                for line in path.read_text().splitlines()
+                if line.strip()
+            ]
+        )
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(
+            f"{path} must hold lines of two whole numbers, a vertex of A and one of B ({error})"
+        ) from error
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise InputError(f"{path} must hold lines of two whole numbers, a vertex of A and one of B")
+    return pairs
+
+
+def _print(numbers: dict[str, Any], out: Path) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from .summary import wide_console
+
+    console = wide_console()
+    moved = numbers["alignment"]
+    console.print(
+        f"B is scaled by {moved['scale']:.6g} onto A; {moved['overlap'][0]:.0%} of A and {moved['overlap'][1]:.0%} "
+        f"of B have a partner, at {moved['residual']:.3g} of A's units root mean square."
+    )
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("")
+    for column in ("A", "B"):
+        table.add_column(column, justify="right")
+    a, b = numbers["first"], numbers["second"]
+    table.add_row("points", *(f"{c['points']:,}" for c in (a, b)))
+    table.add_row(
+        f"neighbours within {numbers['radius']:.3g}, mean",
+        *(f"{c['neighbours']['mean']:.1f}" for c in (a, b)),
+    )
+    table.add_row("  standard deviation", *(f"{c['neighbours']['std']:.1f}" for c in (a, b)))
+    table.add_section()
+    for name, key in (("median", "median"), ("95 %", "p95"), ("root mean square", "rms")):
+        table.add_row(
+            f"distance to the other, {name}", *(f"{c['distance'][key]:.4g}" for c in (a, b))
+        )
+    table.add_section()
+    for name, key in (("median", "median"), ("95 %", "p95"), ("root mean square", "rms")):
+        table.add_row(
+            f"  of A's extent {numbers['extent']:.4g}, {name}",
+            *(f"{c['distance_over_extent'][key]:.3%}" for c in (a, b)),
+        )
+    console.print(table)
+    console.print(f"{out}: compare.json, compare.png, second.ply")

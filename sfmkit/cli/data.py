@@ -1,0 +1,112 @@
+"""``sfmkit data``: which public data sets there are, fetching them, checking them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+DATA = click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; default: SFMKIT_DATA, or the user's cache.",
+)
+
+
+@click.group()
+def data() -> None:
+    """List, fetch and verify the public data sets."""
+
+
+@data.command("list")
+@DATA
+def list_(data: Path | None) -> None:
+    """The data sets, their terms, and where they lie on this machine."""
+    from ..datasets.pair import data_root
+    from ..datasets.registry import DATASETS
+    from ..errors import InputError
+
+    for spec in DATASETS.values():
+        try:
+            where = str(data_root(spec.name, data))
+        except InputError:
+            where = f"not here; about {spec.size_mb} MB to fetch"
+        click.echo(f"{spec.name:<10} {spec.title}\n{'':<11}{where}")
+
+
+@data.command()
+@click.argument("name")
+@DATA
+def fetch(name: str, data: Path | None) -> None:
+    """Download the data set NAME, check it and unpack it. Interrupted downloads are gone on
+    with."""
+    from ..datasets.registry import dataset_spec
+
+    spec = dataset_spec(name)
+    click.echo(
+        f"{spec.title}\n  home:  {spec.home}\n  terms: {spec.terms}\n  cite:  {spec.citation}"
+    )
+    click.echo(
+        f"  about {spec.size_mb} MB" + ("" if spec.pins else "; no checksums are known for it")
+    )
+
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+    from ..datasets.fetch import fetch as run
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, int] = {}
+
+        def show(file: str, done: int, total: int | None) -> None:
+            if file not in tasks:
+                tasks[file] = bars.add_task(file, total=total)
+            bars.update(tasks[file], completed=done, total=total)  # type: ignore[arg-type]
+
+        root = run(spec, data, show)
+    click.echo(f"{root}: complete")
+
+
+@data.command()
+@click.argument("names", nargs=-1)
+@DATA
+def verify(names: tuple[str, ...], data: Path | None) -> None:
+    """Check data sets (NAMES, or all that are here) against the pinned checksums. Exit status 2 if
+    any is wrong."""
+    from ..datasets import pairs
+    from ..datasets.pair import data_root
+    from ..datasets.registry import DATASETS, check_folder, dataset_spec
+    from ..errors import InputError
+
+    bad = []
+    for spec in [dataset_spec(name) for name in names] or DATASETS.values():
+        try:
+            root = data_root(spec.name, data)
+        except InputError:
+            if names:
+                raise
+            continue
+        if spec.pins:
+            wrong = check_folder(spec, root)
+            click.echo(
+                f"{spec.name}: {len(spec.pins) - len(wrong)} of {len(spec.pins)} files as pinned, in {root}"
+            )
+        else:
+            wrong = []
+            n = sum(1 for _ in pairs(spec.name, data))
+            click.echo(
+                f"{spec.name}: {n} pairs are complete; nothing is pinned to compare with, in {root}"
+            )
+        bad += [f"{spec.name}/{line}" for line in wrong]
+    if bad:
+        raise InputError(
+            f"{len(bad)} files are missing or changed: "
+            + "; ".join(bad[:5])
+            + ("; ..." if bad[5:] else "")
+        )

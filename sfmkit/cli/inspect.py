@@ -1,0 +1,77 @@
+"""``sfmkit inspect`` and ``sfmkit view``: a recording in text, and in the viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..errors import InputError
+
+RECORDING = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("recording", type=RECORDING)
+@click.option("--point", type=int, metavar="N", help="Where point N of the cloud comes from.")
+@click.option("--operator", metavar="NAME", help="How an operator did.")
+@click.option("--entity", metavar="PATH", help="What an entity holds, e.g. /world/points/operator.")
+@click.option(
+    "--diff", type=RECORDING, metavar="OTHER", help="What changed from RECORDING to OTHER."
+)
+@click.option(
+    "--prefix",
+    default="",
+    help="Where in the recording the reconstruction was logged, if not at its root.",
+)
+def inspect(
+    recording: Path,
+    point: int | None,
+    operator: str | None,
+    entity: str | None,
+    diff: Path | None,
+    prefix: str,
+) -> None:
+    """Read a recording (.rrd) back and answer in text.
+
+    Without an option: verdict, pose, account, times.
+    """
+    if sum(question is not None for question in (point, operator, entity, diff)) > 1:
+        raise InputError("ask one thing at a time: --point, --operator, --entity or --diff")
+    from ..recording import inspection
+
+    prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
+    if point is not None:
+        answer = inspection.describe_point(recording, point, prefix)
+    elif operator is not None:
+        answer = inspection.describe_operator(recording, operator, prefix)
+    elif entity is not None:
+        answer = inspection.describe_entity(recording, entity)
+    elif diff is not None:
+        answer = inspection.diff_recordings(recording, diff, prefix)
+    else:
+        answer = inspection.describe_recording(recording)
+    click.echo(answer)
+
+
+@click.command()
+@click.argument("recording", type=RECORDING)
+@click.option(
+    "--web", is_flag=True, help="Serve the viewer to a browser on this machine; needs no display."
+)
+def view(recording: Path, web: bool) -> None:
+    """Open a recording (.rrd) in the Rerun viewer of this environment; it listens on 127.0.0.1
+    only."""
+    from ..recording import viewer
+
+    if not web:
+        viewer.open_window(recording)
+        return
+    with viewer.serve(recording) as server:
+        click.echo(f"{server.url}\nCtrl-C ends it.")
+        click.echo(
+            f"From elsewhere: ssh -L {server.web_port}:127.0.0.1:{server.web_port} "
+            f"-L {server.data_port}:127.0.0.1:{server.data_port} HOST",
+            err=True,
+        )
+        server.wait()

@@ -1,0 +1,112 @@
+"""``sfmkit lab``: JupyterLab on the notebooks, on this machine only and without the web."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import quote
+
+import click
+
+from ..errors import InputError
+
+HOST = "127.0.0.1"
+
+
+def notebook_folder(folder: Path | None) -> Path:
+    """The folder to open: the one given, or ``notebooks`` beside the package or below the working
+    directory.
+
+    Raises:
+        InputError: none of these holds a notebook, as with a wheel that was installed without the
+            repository.
+    """
+    if folder is not None:
+        if not folder.is_dir() or not any(folder.glob("*.ipynb")):
+            raise InputError(f"{folder} holds no notebooks (*.ipynb)")
+        return folder.resolve()
+    for place in (Path(__file__).parents[2] / "notebooks", Path.cwd() / "notebooks"):
+        if any(place.glob("*.ipynb")):
+            return place.resolve()
+    raise InputError(
+        "there are no notebooks here: an installed sfmkit comes without them. Clone the repository and run `sfmkit lab` "
+        "in it, or name their folder: sfmkit lab FOLDER"
+    )
+
+
+def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict[str, str]]:
+    """The command line of JupyterLab and its environment."""
+    first = min(folder.glob("*.ipynb"))
+    command = [
+        sys.executable,
+        "-m",
+        "jupyterlab",
+        f"--ServerApp.root_dir={folder}",
+        f"--ServerApp.ip={HOST}",
+        f"--ServerApp.port={port}",
+        "--ServerApp.log_level=ERROR",
+        f"--LabApp.default_url=/lab/tree/{quote(first.name)}",
+        "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
+        "--LabApp.news_url=None",
+    ]
+    if not browser:
+        command.append("--ServerApp.open_browser=False")
+    if runs_as_root():
+        command.append("--ServerApp.allow_root=True")
+    # The folder above labconfig/, whose settings keep JupyterLab from asking about news: it would
+    # look for them on the web.
+    settings = os.pathsep.join(
+        filter(None, (str(Path(__file__).parent), os.environ.get("JUPYTER_CONFIG_PATH")))
+    )
+    # The embedded viewer's page is served by the kernel: read when rerun is imported, so it must be
+    # there before.
+    return command, {
+        **os.environ,
+        "JUPYTER_CONFIG_PATH": settings,
+        "RERUN_NOTEBOOK_ASSET": "serve-local",
+    }
+
+
+def runs_as_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+@click.command()
+@click.argument("folder", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8888,
+    show_default=True,
+    help="The next free one if taken.",
+)
+@click.option(
+    "--browser/--no-browser", default=True, show_default=True, help="Open a browser on it."
+)
+def lab(folder: Path | None, port: int, browser: bool) -> None:
+    """Open the notebooks in JupyterLab; it listens on 127.0.0.1 only and needs no internet.
+
+    FOLDER: other notebooks than the project's own.
+
+    As root, as in most containers, it starts too: whoever opens the page with its token is root in
+    the notebooks.
+    """
+    place = notebook_folder(folder)
+    if find_spec("jupyterlab") is None:
+        raise InputError(
+            "JupyterLab is not installed here; install the extra: pip install 'sfmkit[notebook]'"
+        )
+    if runs_as_root():
+        click.echo(
+            "running as root: so will the notebooks. The page asks for a token and listens on 127.0.0.1 only.",
+            err=True,
+        )
+    command, environment = lab_command(place, port, browser)
+    signal.signal(
+        signal.SIGINT, lambda *_: None
+    )  # Ctrl-C is JupyterLab's, which asks about it and ends tidily
+    sys.exit(subprocess.run(command, env=environment, check=False).returncode)

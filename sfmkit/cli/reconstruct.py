@@ -1,0 +1,206 @@
+"""``sfmkit reconstruct``, ``sfmkit demo`` and ``sfmkit operators``: the main job and what it works
+with."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .._utils.writing import check_free
+from .exit_status import OK, UNTRUSTWORTHY
+from .parsing import names
+from .progress import progress
+
+OPERATORS = "surf,orb,fast-brief"
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """Those that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
+@click.command()
+@click.argument("image1")
+@click.argument("image2")
+@click.option(
+    "--intrinsics",
+    help="K of image 1 (and 2): a file, or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]. Default: EXIF.",
+)
+@click.option("--intrinsics2", help="K of image 2, where it is another camera.")
+@click.option(
+    "--operators",
+    default=OPERATORS,
+    show_default=True,
+    callback=names,
+    help="Detectors, comma-separated; see `sfmkit operators`.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["default", "dense", "paper"]),
+    default="default",
+    show_default=True,
+    help="Our best settings, ours for more points in more time, or the paper's.",
+)
+@click.option(
+    "--backend",
+    type=click.Choice(["torch", "opencv", "poselib", "pycolmap"]),
+    help="Robust estimator; default: the preset's.",
+)
+@click.option(
+    "--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels."
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Keypoints per operator and image, spread evenly.  [default preset: 40000, dense: 80000]",
+)
+@click.option(
+    "--max-size",
+    type=click.IntRange(min=16),
+    metavar="PX",
+    help="Detect on images reduced to this longest side.",
+)
+@click.option(
+    "--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B."
+)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/reconstruction"),
+    show_default=True,
+    help="Folder to write.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
+@click.option("--colmap", is_flag=True, help="Also write a COLMAP text model.")
+@click.option(
+    "--rrd/--no-rrd",
+    default=True,
+    show_default=True,
+    help="Write recording.rrd for the Rerun viewer.",
+)
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def reconstruct(
+    image1: str,
+    image2: str,
+    intrinsics: str | None,
+    intrinsics2: str | None,
+    operators: tuple[str, ...],
+    preset: str,
+    backend: str | None,
+    threshold: float | None,
+    budget: int | None,
+    max_size: int | None,
+    truth: str | None,
+    seed: int,
+    out: Path,
+    overwrite: bool,
+    colmap: bool,
+    rrd: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Reconstruct the scene that IMAGE1 and IMAGE2 both show.
+
+    Writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder --out. Exit
+    status: 0 done, 1 ran but found no trustworthy geometry (the report says why), 2 bad input.
+    """
+    from dataclasses import replace
+
+    check_free(out, overwrite)
+    with progress(enabled=not quiet and not as_json) as say:
+        say("start", "loading libraries")
+        from ..io.cameras import read_truth
+        from ..options import PRESETS
+        from ..pipeline.reconstruction import reconstruct as run
+        from ..reports.outputs import write_outputs
+
+        pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
+        options = PRESETS[preset]
+        estimate = given(backend=backend, threshold_px=threshold)
+        if backend is not None:
+            estimate["method"] = None  # a method's name belongs to its back end
+        options = replace(
+            options,
+            estimate=replace(options.estimate, **estimate),
+            detect=replace(options.detect, **given(budget=budget, max_size=max_size)),
+        )
+        result = run(
+            image1,
+            image2,
+            intrinsics,
+            operators,
+            camera2=intrinsics2,
+            options=options,
+            seed=seed,
+            truth=pose,
+            progress=say,
+        )
+        say("write", str(out))
+        report = write_outputs(result, out, overwrite=overwrite, colmap=colmap, recording=rrd)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(report, indent=1))
+    elif not quiet:
+        from .summary import print_summary
+
+        print_summary(report, out)
+    sys.exit(OK if result.trustworthy else UNTRUSTWORTHY)
+
+
+@click.command()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/demo"),
+    show_default=True,
+    help="Folder to write.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["default", "dense", "paper"]),
+    default="default",
+    show_default=True,
+)
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@click.pass_context
+def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
+    """Run the main job on the bundled pair, whose true pose is known. Replaces the folder --out."""
+    from ..datasets.synthetic import demo_pair
+
+    image1, image2, truth = map(str, demo_pair())
+    ctx.invoke(
+        reconstruct,
+        image1=image1,
+        image2=image2,
+        intrinsics=truth,
+        truth=truth,
+        operators=tuple(OPERATORS.split(",")),
+        out=out,
+        overwrite=True,
+        **printed,
+    )
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def operators(as_json: bool) -> None:
+    """List the feature operators, how they are compared, and whether they are available here."""
+    from ..features import list_operators
+    from .summary import print_operators
+
+    rows = list_operators()
+    if as_json:
+        import json
+        from dataclasses import asdict
+
+        click.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    else:
+        print_operators(rows)

@@ -1,0 +1,1 @@
+"""Point clouds: density, local shape, alignment, comparison."""

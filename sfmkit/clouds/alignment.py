@@ -1,0 +1,311 @@
+"""Two clouds of one thing brought together: each in its own frame, at its own scale, seen only in
+part by the other.
+
+Iterative closest points (Besl & McKay 1992) with the scale free (Zinsser, Schmidt & Niemann 2005).
+Pairs are formed both ways: if only the moved cloud looked for partners, it could shrink to a point
+on the other and be near it everywhere. Distances are measured mostly across the surface (Chen &
+Medioni 1992), for along it a point has no partner of its own; pairs that are far apart for their
+time lose their weight; and how much of the clouds has a partner at all is told by trimming
+(Chetverikov et al. 2005). The start is tried in many orientations, because the principal axes of a
+cloud have no sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from ..errors import DegenerateGeometryError, InputError
+from ..geometry.similarity import Similarity, fit_similarity
+from .density import build_tree
+
+POINTS = 30_000  # of each cloud that the alignment looks at
+_COARSE = (600, 15)  # points and steps with which every start is tried
+_MIDDLE = (4000, 30)  # and the best few of them
+_FINE = (POINTS, 60)
+_FINALISTS = 8
+_ALONG = 0.1  # weight of a distance along the surface, where one across it has 1
+_NORMAL_FROM = 10  # nearest points that give a surface its direction
+_LEAST_OVERLAP = 0.3  # share of the points that must find a partner
+_EXACT = 1e-9  # of the size of a cloud: less is rounding
+_TRIM_POWER = 3  # weighs a small distance against a large share (Chetverikov's 1 + lambda)
+_AMBIGUOUS = 0.8  # a rival start that ends as near as this makes the result doubtful
+
+Progress = Callable[[str, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How the second cloud lies on the first.
+
+    Attributes:
+        similarity: from the second cloud's frame to the first's.
+        overlap: share of the first cloud's, and of the second cloud's points that were taken to
+            have a partner.
+        residual: root mean square distance of these pairs, in the unit of the first cloud.
+        rivalry: that score over the score of the best start that ended elsewhere, 0 without a
+            rival, 1 for one that is as good, as with a symmetrical thing.
+    """
+
+    similarity: Similarity
+    overlap: tuple[float, float]
+    residual: float
+    rivalry: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether another start ended nearly as near, or, had there been others, less than half of
+        a cloud has a partner."""
+        return self.rivalry > _AMBIGUOUS or (self.rivalry > 0 and min(self.overlap) < 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """Some points of a cloud, in random order, with their normals; centre, size and axes that a few
+    far points cannot move."""
+
+    tree: KDTree
+    normals: np.ndarray
+    centre: np.ndarray
+    size: float
+    axes: np.ndarray
+    _thinner: dict[int, _Cloud] = field(default_factory=dict)
+
+    @property
+    def xyz(self) -> np.ndarray:
+        return self.tree.data
+
+    def first(self, n: int) -> _Cloud:
+        """Only its first `n` points."""
+        if n not in self._thinner:
+            self._thinner[n] = (
+                self
+                if n >= len(self.xyz)
+                else _Cloud(
+                    KDTree(self.xyz[:n]), self.normals[:n], self.centre, self.size, self.axes
+                )
+            )
+        return self._thinner[n]
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    similarity: Similarity
+    score: float
+    overlap: tuple[float, float]
+    residual: float
+
+
+def align(
+    a: np.ndarray,
+    b: np.ndarray,
+    pairs: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Alignment:
+    """Move the second cloud onto the first.
+
+    Args:
+        a, b: (N, 3) and (M, 3) points.
+        pairs: (P, 2) rows of `a` and of `b` that show the same, three or more, to start from;
+            without them every orientation is tried around the principal axes.
+        seed: of the choice of points that are looked at.
+        progress: told the stage and how far it is.
+
+    Raises:
+        InputError: unusable points or pairs.
+        DegenerateGeometryError: a cloud has fewer than three places or lies on a line.
+    """
+    rng = np.random.default_rng(seed)
+    first, second = _cloud(a, "first", rng), _cloud(b, "second", rng)
+
+    def refine(start: Similarity, size: tuple[int, int]) -> _State:
+        return _icp(first, second, start, *size)
+
+    if pairs is not None:
+        starts = [_from_pairs(np.asarray(a, np.float64), np.asarray(b, np.float64), pairs)]
+    else:
+        starts = _starts(first, second)
+    found = []
+    for k, start in enumerate(starts):
+        if progress is not None:
+            progress("align", f"start {k + 1} of {len(starts)}")
+        found.append(refine(start, _COARSE))
+    found = _distinct(found, first.size)[:_FINALISTS]
+    found = _distinct([refine(state.similarity, _MIDDLE) for state in found], first.size)
+    if progress is not None:
+        progress("align", "the best start to the end")
+    best = refine(found[0].similarity, _FINE)
+    rivalry = found[0].score / found[1].score if len(found) > 1 else 0.0
+    return Alignment(best.similarity, best.overlap, best.residual, rivalry)
+
+
+def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
+    xyz = build_tree(xyz).data
+    xyz = xyz[rng.permutation(len(xyz))[:POINTS]]
+    spread = np.linalg.svd((xyz - xyz.mean(0))[:1000], compute_uv=False)
+    if len(xyz) < 3 or spread[1] <= 1e-9 * spread[0]:
+        raise DegenerateGeometryError(
+            f"the {which} cloud's points lie on a line or at one place, so its orientation is open",
+            points=len(xyz),
+        )
+    centre = np.median(xyz, axis=0)
+    distance = np.linalg.norm(xyz - centre, axis=1)
+    size = float(np.median(distance)) or float(distance.max())
+    inner = xyz[distance <= 3 * size] - centre
+    axes = np.linalg.eigh(inner.T @ inner)[1]
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    tree = KDTree(xyz)
+    near = xyz[tree.query(xyz, k=min(_NORMAL_FROM, len(xyz)), workers=-1)[1]]
+    near = near - near.mean(1, keepdims=True)
+    return _Cloud(tree, np.linalg.eigh(near.mT @ near)[1][:, :, 0], centre, size, axes)
+
+
+def _starts(a: _Cloud, b: _Cloud) -> list[Similarity]:
+    """Similarities that bring centre, size and principal axes together, in 80 orientations of the
+    axes.
+
+    The rotations of the octahedron (24, the exchanges of axes among them) and of the icosahedron
+    (60) leave no orientation farther than about 40 degrees from one of them.
+    """
+    turns = Rotation.concatenate(
+        [Rotation.create_group("O"), Rotation.create_group("I")]
+    ).as_matrix()
+    scale = a.size / b.size
+    starts = []
+    for turn in turns:
+        R = a.axes @ turn @ b.axes.T
+        starts.append(_similarity(scale, R, a.centre - scale * R @ b.centre))
+    return starts
+
+
+def _similarity(s: float, R: np.ndarray, t: np.ndarray) -> Similarity:
+    return Similarity(
+        torch.tensor(float(s), dtype=torch.float64),
+        torch.from_numpy(R.copy()),
+        torch.from_numpy(t.copy()),
+    )
+
+
+def _from_pairs(a: np.ndarray, b: np.ndarray, pairs: np.ndarray) -> Similarity:
+    pairs = np.asarray(pairs)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+        raise InputError(
+            f"pairs must be whole numbers of shape (P, 2), rows of the two clouds, not {pairs.shape}"
+        )
+    for column, cloud, which in ((0, a, "first"), (1, b, "second")):
+        if len(pairs) and (pairs[:, column].min() < 0 or pairs[:, column].max() >= len(cloud)):
+            raise InputError(
+                f"pairs name points that the {which} cloud of {len(cloud):,} does not have"
+            )
+    return fit_similarity(torch.from_numpy(b[pairs[:, 1]]), torch.from_numpy(a[pairs[:, 0]]))
+
+
+def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _State:
+    """Iterate closest points, both ways, from `start`."""
+    now, a, b = start, a.first(points), b.first(points)
+    for _ in range(steps):
+        moved, to_a, row_a, to_b, row_b = _closest(a, b, now)
+        x = np.concatenate([moved, now.apply(torch.from_numpy(b.xyz[row_b])).numpy()])
+        y = np.concatenate([a.xyz[row_a], a.xyz])
+        normal = np.concatenate([a.normals[row_a], b.normals[row_b] @ now.R.numpy().T])
+        distance = np.concatenate([to_a, to_b])
+        limit = 3 * np.quantile(distance, _LEAST_OVERLAP) + _EXACT * a.size
+        weight = (1 + (distance / limit) ** 2) ** -2  # Geman & McClure 1985
+        # What lies beyond the other cloud's border crowds onto the border's points; each of these
+        # pulls once.
+        weight /= np.concatenate([np.bincount(row)[row] for row in (row_a, row_b)])
+        step = _gauss_newton(x, y, normal, weight)
+        further = Similarity(step.s * now.s, step.R @ now.R, step.s * (step.R @ now.t) + step.t)
+        if not 1 / 3 < float(further.s / start.s) < 3:
+            break  # a scale that runs away
+        now = further
+        change = step.apply(torch.from_numpy(moved)).numpy() - moved
+        if np.abs(change).max() < (_EXACT if points == POINTS else 1e-4) * a.size:
+            break
+    _, to_a, _, to_b, _ = _closest(a, b, now)
+    (near_a, share_a), (near_b, share_b) = (
+        _trim(to_b, _EXACT * a.size),
+        _trim(to_a, _EXACT * a.size),
+    )
+    residual = float(np.sqrt(np.concatenate([near_a, near_b]).mean()))
+    return _State(
+        now, _score(near_a, share_a) + _score(near_b, share_b), (share_a, share_b), residual
+    )
+
+
+def _closest(a: _Cloud, b: _Cloud, now: Similarity) -> tuple:
+    """The second cloud moved, and each side's distances (in the unit of the first) and rows of its
+    partners."""
+    moved = now.apply(torch.from_numpy(b.xyz)).numpy()
+    workers = -1 if len(a.xyz) > 5000 else 1  # threads cost more than a few points
+    to_a, row_a = a.tree.query(moved, workers=workers)
+    to_b, row_b = b.tree.query(
+        now.inverse().apply(torch.from_numpy(a.xyz)).numpy(), workers=workers
+    )
+    return moved, to_a, row_a, to_b * float(now.s), row_b
+
+
+def _gauss_newton(
+    x: np.ndarray, y: np.ndarray, normal: np.ndarray, weight: np.ndarray
+) -> Similarity:
+    """The small similarity that takes `x` towards `y`, across the surfaces first of all; one
+    Gauss-Newton step."""
+    centre = np.average(x, axis=0, weights=weight)
+    p, r = x - centre, y - x
+    size = np.sqrt(
+        np.average((p**2).sum(1), weights=weight)
+    )  # so that the unknowns are of one magnitude
+    p = p / size
+    # change of a point: turn x p + shift + growth p
+    J = np.zeros((len(p), 3, 7))
+    J[:, 0, 1], J[:, 0, 2], J[:, 1, 2] = p[:, 2], -p[:, 1], p[:, 0]
+    J[:, 1, 0], J[:, 2, 0], J[:, 2, 1] = -p[:, 2], p[:, 1], -p[:, 0]
+    J[:, :, 3:6] = np.eye(3)
+    J[:, :, 6] = p
+    across = (normal[:, None] @ J)[:, 0]
+    A = (across * weight[:, None]).T @ across + _ALONG**2 * np.einsum(
+        "n,nij,nik->jk", weight, J, J, optimize=True
+    )
+    g = across.T @ (weight * (normal * r).sum(1)) + _ALONG**2 * np.einsum(
+        "n,nij,ni->j", weight, J, r, optimize=True
+    )
+    turn, shift, growth = np.split(np.linalg.solve(A, g), (3, 6))
+    R = Rotation.from_rotvec(turn / size).as_matrix()
+    s = float(np.exp(growth[0] / size))
+    return _similarity(s, R, shift + centre - s * R @ centre)
+
+
+def _trim(distance: np.ndarray, exact: float) -> tuple[np.ndarray, float]:
+    """The squared distances of what has a partner, and its share: where their mean over share ** 3
+    is least; `exact` counts as zero."""
+    squared = np.sort(distance**2) + exact**2
+    count = np.arange(1, len(squared) + 1)
+    cost = np.cumsum(squared) / count / (count / len(squared)) ** _TRIM_POWER
+    least = int(np.ceil(_LEAST_OVERLAP * len(squared))) - 1
+    keep = len(cost) - int(np.argmin(cost[least:][::-1]))  # the largest among equals
+    return squared[:keep], keep / len(squared)
+
+
+def _score(squared: np.ndarray, share: float) -> float:
+    return float(np.sqrt(squared.mean() / share**_TRIM_POWER))
+
+
+def _distinct(states: list[_State], size: float) -> list[_State]:
+    """The states, best first, without those that are within 10 degrees and 10 % of a better one."""
+    kept: list[_State] = []
+    for state in sorted(states, key=lambda s: s.score):
+        if all(_apart(state.similarity, other.similarity) for other in kept):
+            kept.append(state)
+    return kept
+
+
+def _apart(one: Similarity, other: Similarity) -> bool:
+    cosine = (float((one.R * other.R).sum()) - 1) / 2
+    return cosine < np.cos(np.deg2rad(10)) or abs(np.log(float(one.s / other.s))) > 0.1

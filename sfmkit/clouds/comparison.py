@@ -1,0 +1,154 @@
+"""Two clouds of one thing compared: how many points, how dense, how far apart; their scales and
+frames may differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ..types import PointCloud
+from .alignment import Alignment, align
+from .density import Density, build_tree, count_neighbours, density
+
+_BLOCK = 200_000  # points whose nearest one is looked for at a time
+
+Progress = Callable[[str, str], None]
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances from the points of one cloud to the nearest of the other, in one figure each.
+
+    Attributes:
+        median, p95, rms: median, 95th percentile and root mean square. The last is ruled by a few
+            points far away.
+    """
+
+    median: float
+    p95: float
+    rms: float
+
+    @staticmethod
+    def of(values: np.ndarray) -> Distances:
+        return Distances(
+            float(np.median(values)),
+            float(np.percentile(values, 95)),
+            float(np.sqrt(np.mean(np.square(values)))),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two clouds, the second moved onto the first.
+
+    Attributes:
+        first: the first cloud.
+        second: the second, moved into the first one's frame and unit.
+        alignment: how it was moved.
+        extent: diagonal of the box that holds the inner 98 % of the first cloud in each direction.
+        to_second, to_first: (N,) and (M,) distances to the nearest point of the other cloud, in the
+            first cloud's unit.
+        density_first, density_second: both with the same radius, in the first cloud's unit.
+    """
+
+    first: PointCloud
+    second: PointCloud
+    alignment: Alignment
+    extent: float
+    to_second: np.ndarray
+    to_first: np.ndarray
+    density_first: Density
+    density_second: Density
+
+    def numbers(self) -> dict[str, Any]:
+        """Everything but the points, for JSON. Lengths in the first cloud's unit, or over its
+        extent where so named."""
+        move = self.alignment.similarity
+        found: dict[str, Any] = {
+            "alignment": {
+                "scale": float(move.s),
+                "rotation": move.R.tolist(),
+                "shift": move.t.tolist(),
+                "overlap": self.alignment.overlap,
+                "residual": self.alignment.residual,
+                "rivalry": self.alignment.rivalry,
+                "doubtful": self.alignment.doubtful,
+            },
+            "extent": self.extent,
+            "radius": self.density_first.radius,
+        }
+        for name, cloud, dense, distance in (
+            ("first", self.first, self.density_first, self.to_second),
+            ("second", self.second, self.density_second, self.to_first),
+        ):
+            summary = asdict(Distances.of(distance))
+            n = dense.neighbours
+            found[name] = {
+                "points": len(cloud),
+                "neighbours": {
+                    "mean": float(n.mean()),
+                    "std": float(n.std()),
+                    "median": float(np.median(n)),
+                },
+                "surface_density": float(dense.surface.mean()),
+                "distance": summary,
+                "distance_over_extent": {
+                    key: value / self.extent for key, value in summary.items()
+                },
+            }
+        return found
+
+
+def compare(
+    first: PointCloud,
+    second: PointCloud,
+    *,
+    radius: float | None = None,
+    pairs: np.ndarray | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Move the second cloud onto the first, and measure both.
+
+    Args:
+        radius: of the density, in the first cloud's unit; None for ten times the spacing of its
+            points.
+        pairs: (P, 2) rows of the clouds that show the same, to start from; see
+            :func:`sfmkit.clouds.alignment.align`.
+        seed: of the alignment.
+        progress: told the stage and how far it is.
+
+    Raises:
+        InputError: unusable clouds, radius or pairs.
+        DegenerateGeometryError: a cloud whose points lie on a line.
+    """
+    a = first.xyz.numpy()
+    alignment = align(a, second.xyz.numpy(), pairs, seed=seed, progress=progress)
+    moved = replace(second, xyz=alignment.similarity.apply(second.xyz), covariance=None)
+    b = moved.xyz.numpy()
+    tree_a, tree_b = build_tree(a), build_tree(b)
+    found = density(a, radius, progress=progress)
+    if progress is not None:
+        progress("measure", "distances both ways")
+    return Comparison(
+        first=first,
+        second=moved,
+        alignment=alignment,
+        extent=float(np.linalg.norm(np.ptp(np.percentile(a, (1, 99), axis=0), axis=0))),
+        to_second=_nearest(tree_b, a),
+        to_first=_nearest(tree_a, b),
+        density_first=found,
+        density_second=Density(
+            found.radius, count_neighbours(tree_b, found.radius, progress=progress)
+        ),
+    )
+
+
+def _nearest(tree: KDTree, points: np.ndarray) -> np.ndarray:
+    """(N,) distances from points to the nearest one in a tree."""
+    blocks = np.array_split(points, -(-len(points) // _BLOCK))
+    return np.concatenate([tree.query(block, workers=-1)[0] for block in blocks])

@@ -1,1 +1,0 @@
-"""Commands of ``sfmkit`` that are kept apart from the main one."""

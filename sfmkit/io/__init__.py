@@ -1,0 +1,1 @@
+"""Files: photographs with EXIF, cameras, PLY clouds, COLMAP models."""

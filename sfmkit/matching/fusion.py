@@ -1,0 +1,154 @@
+"""Fusion: the matches of several operators become one set of correspondences that remembers who
+found what.
+
+Dippold & Tsai concatenate the operators' matches. Where several operators fire on one corner, plain
+concatenation counts
+that corner several times: it weighs more in every fit, and minimal samples drawn from it are
+degenerate. Here coincident correspondences are merged into one that carries all of its operators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from ..errors import InputError
+from ..types import MAX_OPERATORS, Correspondences, Features, Matches, OperatorCounts
+
+
+def fuse(
+    matches: Mapping[str, tuple[Features, Features, Matches]], *, merge_radius: float | None = 1.0
+) -> Correspondences:
+    """The matches of all operators in one set, coincident ones merged.
+
+    Correspondences coincide when their points lie within `merge_radius` of each other in both
+    images; one point with two different partners is a conflict and stays as it is, for the robust
+    estimator to judge. Merging is greedy: the most distinctive correspondence (lowest ratio of best
+    to second-best descriptor distance, which is comparable between operators where distances are
+    not) absorbs all that coincide with it, then the best of the rest, and so on. So every
+    correspondence is represented by a better or equal one within the radius, no two that are kept
+    coincide, and chains of neighbours do not grow together. Equal ratios, and matches without one,
+    which come last, are decided by the name of the
+    operator and the row: the order of the operators does not matter to what is kept.
+
+    Args:
+        matches: per operator its features in image 1 and image 2 (N1, N2) and its matches (M).
+        merge_radius: pixels; None concatenates without merging, as the paper does.
+
+    Returns:
+        The kept correspondences in the order of the operators and of their matches.
+        ``counts[operator].merged`` tells how many of its matches another one represents (their own
+        keypoints may: ORB finds one corner on several pyramid levels).
+
+    Raises:
+        InputError: no or too many operators, matches outside the features, images of different
+            sizes, a bad radius.
+    """
+    _check(matches, merge_radius)
+    per_operator = list(matches.values())
+    x1 = np.concatenate([f1.keypoints[m.index1] for f1, _, m in per_operator]).astype(np.float64)
+    x2 = np.concatenate([f2.keypoints[m.index2] for _, f2, m in per_operator]).astype(np.float64)
+    distance, ratio = (
+        np.concatenate([getattr(m, name) for *_, m in per_operator])
+        for name in ("distance", "ratio")
+    )
+    index1, index2 = (
+        np.concatenate([getattr(m, name) for *_, m in per_operator])
+        for name in ("index1", "index2")
+    )
+    operator_id = np.repeat(np.arange(len(matches)), [len(m) for _, _, m in per_operator])
+    mask = np.left_shift(1, operator_id)
+
+    if merge_radius is None:
+        leader = np.arange(len(x1))
+    else:
+        name_order = np.argsort(np.argsort(list(matches)))[operator_id]
+        rank = np.empty(len(x1), dtype=np.int64)
+        rank[np.lexsort((index2, index1, name_order, ratio))] = np.arange(len(x1))  # NaN sorts last
+        leader = _leaders(*_coincident(x1, x2, merge_radius), rank)
+    np.bitwise_or.at(mask, leader, mask.copy())
+    kept = leader == np.arange(len(x1))
+
+    lost = np.bincount(operator_id[~kept], minlength=len(matches))
+    counts = {
+        name: OperatorCounts(keypoints=(len(f1), len(f2)), matches=len(m), merged=int(n))
+        for (name, (f1, f2, m)), n in zip(matches.items(), lost)
+    }
+
+    def tensor(a: np.ndarray, dtype: type) -> torch.Tensor:
+        return torch.from_numpy(a[kept].astype(dtype))
+
+    return Correspondences(
+        x1=tensor(x1, np.float64),
+        x2=tensor(x2, np.float64),
+        distance=tensor(distance, np.float64),
+        ratio=tensor(ratio, np.float64),
+        operator_id=tensor(operator_id, np.int64),
+        operator_mask=tensor(mask, np.int64),
+        index1=tensor(index1, np.int64),
+        index2=tensor(index2, np.int64),
+        operators=tuple(matches),
+        counts=counts,
+    )
+
+
+def _check(
+    matches: Mapping[str, tuple[Features, Features, Matches]], merge_radius: float | None
+) -> None:
+    if not matches:
+        raise InputError("nothing to fuse: give the matches of at least one operator")
+    if len(matches) > MAX_OPERATORS:
+        raise InputError(f"at most {MAX_OPERATORS} operators can be fused, not {len(matches)}")
+    if merge_radius is not None and not 0 <= merge_radius < np.inf:
+        raise InputError(
+            f"merge_radius must be a number of pixels, or None to merge nothing, not {merge_radius}"
+        )
+    sizes = {(f1.size_wh, f2.size_wh) for f1, f2, _ in matches.values()}
+    if len(sizes) > 1:
+        raise InputError(
+            f"the operators saw images of different sizes: {sorted(sizes)}; fuse matches of one pair of images"
+        )
+    for name, (f1, f2, m) in matches.items():
+        for f, index in ((f1, m.index1), (f2, m.index2)):
+            if len(index) and not (index.min() >= 0 and index.max() < len(f)):
+                raise InputError(
+                    f"the matches of '{name}' point outside its {len(f)} features; were they made from others?"
+                )
+
+
+def _coincident(x1: np.ndarray, x2: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (u, v), u < v, of correspondences within the radius in both images."""
+    tree = cKDTree(np.hstack([x1, x2]))
+    u, v = tree.query_pairs(radius, p=np.inf, output_type="ndarray").T
+    near = np.maximum(((x1[u] - x1[v]) ** 2).sum(1), ((x2[u] - x2[v]) ** 2).sum(1)) <= radius**2
+    return u[near], v[near]
+
+
+def _leaders(u: np.ndarray, v: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """The representative of every node when the best-ranked node absorbs its neighbours, then the
+    best of the rest, ...
+
+    Args:
+        u, v: (P,) the ends of the edges.
+        rank: (N,) a permutation; 0 is best.
+
+    Returns:
+        (N,) the node itself if it leads, else its best-ranked leading neighbour.
+    """
+    better, worse = np.where(rank[u] < rank[v], (u, v), (v, u))
+    # All nodes that no undecided better neighbour stands before can be decided at once; few rounds
+    # are needed.
+    leads, undecided = np.zeros(len(rank), dtype=bool), np.ones(len(rank), dtype=bool)
+    while undecided.any():
+        waits = np.zeros_like(undecided)
+        waits[worse[undecided[better]]] = True
+        leads |= undecided & ~waits
+        undecided &= waits
+        undecided[worse[leads[better]]] = False
+    best = rank.copy()
+    absorbed = leads[better]
+    np.minimum.at(best, worse[absorbed], rank[better[absorbed]])
+    return np.argsort(rank)[best]

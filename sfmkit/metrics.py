@@ -1,0 +1,138 @@
+"""What is measured on a pair with a known homography."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .errors import InputError
+from .types import Features, Matches
+
+
+def _homography(H: np.ndarray, name: str) -> np.ndarray:
+    H = np.asarray(H, dtype=np.float64)
+    if H.shape != (3, 3) or not np.isfinite(H).all() or H[2, 2] == 0:
+        raise InputError(f"{name} must be a finite (3, 3) matrix with H[2, 2] != 0")
+    return H
+
+
+def _transfer(H: np.ndarray, x: np.ndarray) -> np.ndarray:
+    y = np.column_stack([x, np.ones(len(x))]) @ H.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(y[:, 2:] > 0, y[:, :2] / y[:, 2:], np.inf)
+
+
+def homography_rmse(H: np.ndarray, H_true: np.ndarray) -> float:
+    """Element-wise root mean square difference of two homographies, both scaled to ``H[2, 2] = 1``.
+
+    Dippold & Tsai's measure. It has no unit: seven elements are pure numbers or per pixel, and the
+    two translations, in pixels, outweigh them all. (The paper gives it in metres.)
+    """
+    A, B = _homography(H, "H"), _homography(H_true, "H_true")
+    return float(np.sqrt(np.mean((A / A[2, 2] - B / B[2, 2]) ** 2)))
+
+
+def corner_error(H: np.ndarray, H_true: np.ndarray, size_wh: tuple[int, int]) -> float:
+    """Mean distance, in pixels of image 2, between where H and the truth put the four corners of
+    image 1.
+
+    Infinite where H sends a corner to infinity or behind the camera.
+    """
+    w, h = size_wh
+    corners = np.array([[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]], dtype=np.float64)
+    A, B = (M / M[2, 2] for M in (_homography(H, "H"), _homography(H_true, "H_true")))
+    a, b = _transfer(A, corners), _transfer(B, corners)
+    if not np.isfinite(a).all():
+        return float("inf")
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def error_auc(
+    errors: Sequence[float], thresholds: Sequence[float] = (1.0, 3.0, 5.0)
+) -> list[float]:
+    """Area under the curve "share of pairs with an error of at most e", for e from 0 to each
+    threshold, in [0, 1].
+
+    The curve is the step function; pairs without an estimate have an infinite error.
+    """
+    e = np.asarray(errors, dtype=np.float64)
+    if not len(e) or np.isnan(e).any():
+        raise InputError(
+            "errors must be at least one number; infinity for a pair without an estimate"
+        )
+    return [float(np.clip(1 - e / t, 0, None).mean()) for t in thresholds]
+
+
+def repeatability(
+    features1: Features, features2: Features, H_true: np.ndarray, radius_px: float = 3.0
+) -> tuple[float, int]:
+    """Share of the keypoints in the common part of both images that lie within `radius_px` of one
+    in the other.
+
+    Keypoints are paired one to one, mutual nearest neighbours in image 2; size and shape are not
+    looked at.
+
+    Returns:
+        pairs over the smaller number of keypoints in the common part, and the number of pairs.
+
+    Source: Mikolajczyk et al., IJCV 2005, section 5, with points in place of ellipses.
+    """
+    H = _homography(H_true, "H_true")
+    a = _transfer(H / H[2, 2], features1.keypoints)
+    inside1 = _inside(a, features2.size_wh)
+    b = features2.keypoints.astype(np.float64)
+    Hi = np.linalg.inv(H)
+    inside2 = _inside(_transfer(Hi / Hi[2, 2], b), features1.size_wh)
+    a, b = a[inside1], b[inside2]
+    if not len(a) or not len(b):
+        return 0.0, 0
+    near, j = cKDTree(b).query(a, distance_upper_bound=radius_px)
+    found = np.isfinite(near)
+    _, i = cKDTree(a).query(b[j[found]])
+    n = int((i == np.flatnonzero(found)).sum())
+    return n / min(len(a), len(b)), n
+
+
+def _inside(x: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
+    return np.all((x >= 0) & (x <= np.array(size_wh) - 1), axis=1)
+
+
+def match_errors(
+    features1: Features, features2: Features, matches: Matches, H_true: np.ndarray
+) -> np.ndarray:
+    """(M,) distance of each match from its true place, pixels of image 2."""
+    H = _homography(H_true, "H_true")
+    x1, x2 = features1.keypoints[matches.index1], features2.keypoints[matches.index2]
+    return np.linalg.norm(_transfer(H / H[2, 2], x1) - x2, axis=1)
+
+
+def mean_matching_accuracy(
+    errors: np.ndarray, thresholds: Sequence[float] = tuple(range(1, 11))
+) -> list[float]:
+    """Share of the matches within each threshold, pixels; zeros where there is no match.
+
+    Source: Dusmanu et al., D2-Net, CVPR 2019, section 5.1 (the mean over pairs is the caller's).
+    """
+    e = np.asarray(errors, dtype=np.float64)
+    return [float((e <= t).mean()) if len(e) else 0.0 for t in thresholds]
+
+
+def matching_score(
+    features1: Features,
+    features2: Features,
+    matches: Matches,
+    H_true: np.ndarray,
+    radius_px: float = 3.0,
+) -> float:
+    """Right matches over the smaller number of keypoints in the common part of both images.
+
+    Source: Mikolajczyk et al., IJCV 2005, section 5.
+    """
+    H = _homography(H_true, "H_true")
+    Hi = np.linalg.inv(H)
+    n1 = int(_inside(_transfer(H / H[2, 2], features1.keypoints), features2.size_wh).sum())
+    n2 = int(_inside(_transfer(Hi / Hi[2, 2], features2.keypoints), features1.size_wh).sum())
+    right = int((match_errors(features1, features2, matches, H_true) <= radius_px).sum())
+    return right / min(n1, n2) if min(n1, n2) else 0.0

@@ -1,0 +1,1 @@
+"""Widgets and embedded viewers for JupyterLab."""

@@ -1,0 +1,122 @@
+"""The account: what each operator put in and what became of it (the paper's Table 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from torch import Tensor
+
+from ..types import Correspondences, PointCloud
+
+ALL = "multi"  # the paper's name for the operators together
+
+
+@dataclass(frozen=True)
+class OperatorAccount:
+    """One line of the account.
+
+    A correspondence or point that several operators found counts for each of them, so the
+    operators' numbers add up to the line of all only where nothing was merged.
+
+    Attributes:
+        keypoints: found in image 1 and image 2.
+        matches: after the operator's own matching.
+        initial: correspondences after fusion that carry the operator; without merging the same as
+            `matches`.
+        inliers: of those, in agreement with the epipolar geometry.
+        points: of those, in the cloud.
+        points_alone: points that no other operator found.
+        share_initial: `initial` over that of all operators together.
+        share_points: `points` over those of the whole cloud.
+        loss: share of `initial` that did not become a point.
+    """
+
+    keypoints: tuple[int, int]
+    matches: int
+    initial: int
+    inliers: int
+    points: int
+    points_alone: int
+    share_initial: float
+    share_points: float
+    loss: float
+
+    def as_dict(self) -> dict:
+        return {**asdict(self), "keypoints": list(self.keypoints)}
+
+
+HEAD = (
+    "operator",
+    "keypoints 1",
+    "keypoints 2",
+    "matches",
+    "fused",
+    "inliers",
+    "points",
+    "alone",
+    "share",
+    "loss",
+)
+
+
+def account_cells(name: str, line: Mapping[str, Any]) -> tuple[str, ...]:
+    """A line (:meth:`OperatorAccount.as_dict`) below :data:`HEAD`, as it is printed."""
+    counts = (
+        *line["keypoints"],
+        line["matches"],
+        line["initial"],
+        line["inliers"],
+        line["points"],
+        line["points_alone"],
+    )
+    return (name, *(f"{n:,}" for n in counts), f"{line['share_points']:.1%}", f"{line['loss']:.1%}")
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
+
+
+def make_account(
+    corr: Correspondences, inliers: Tensor, cloud: PointCloud | None
+) -> dict[str, OperatorAccount]:
+    """The account of every operator and, last, of all (``multi``).
+
+    Args:
+        corr: N fused correspondences with their counts.
+        inliers: (N,) bool.
+        cloud: the points, or None where there is no cloud.
+    """
+    n, m = len(corr), 0 if cloud is None else len(cloud)
+
+    def line(
+        keypoints: tuple[int, int], matches: int, initial: int, kept: int, points: int, alone: int
+    ):
+        return OperatorAccount(
+            keypoints,
+            matches,
+            initial,
+            kept,
+            points,
+            alone,
+            _share(initial, n),
+            _share(points, m),
+            1 - _share(points, initial) if initial else 0.0,
+        )
+
+    account = {}
+    for k, name in enumerate(corr.operators):
+        mine = corr.found_by(name)
+        points = alone = 0
+        if cloud is not None:
+            points = int(cloud.found_by(name).sum())
+            alone = int((cloud.operator_mask == 1 << k).sum())
+        c = corr.counts[name]
+        account[name] = line(
+            c.keypoints, c.matches, int(mine.sum()), int((mine & inliers).sum()), points, alone
+        )
+    counts = corr.counts.values()
+    total = (sum(c.keypoints[0] for c in counts), sum(c.keypoints[1] for c in counts))
+    account[ALL] = line(total, sum(c.matches for c in counts), n, int(inliers.sum()), m, m)
+    return account

@@ -1,0 +1,244 @@
+"""What one pixel of image 1 says about image 2: the logic behind the interactive views, without any
+of their widgets."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ..geometry.coordinates import denormalize, normalize
+from ..geometry.distortion import distort, undistort
+from ..geometry.fundamental import epipolar_lines
+from ..types import Camera
+from .reconstruction import Reconstruction
+
+_KEYPOINT = re.compile(r"/world/cam1/image/keypoints/(?P<operator>[^/]+)$")  # see docs/recording.md
+_STEPS = 200  # points of a curve where the lens bends lines
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A keypoint of image 2 near the epipolar line."""
+
+    operator: str
+    row: int
+    x2: tuple[float, float]
+    distance_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarView:
+    """What a pixel of image 1 says.
+
+    Attributes:
+        x1: the pixel.
+        line: (3,) its epipolar line in image 2 as an ideal pinhole sees it, ``a² + b² = 1``.
+        curve: (N, 2) the same inside image 2, pixels of the photograph; two ends unless the lens
+            bends it, none if the line passes by.
+        candidates: keypoints of image 2 near the line, nearest first.
+        match: row of the inlying correspondence nearest to the pixel, None if none is near.
+        x1_match, x2_match: (2,) its pixels.
+        residual_px: its distance from its own epipolar line in image 2, pixels.
+        ray: (3,) unit direction in camera 1 of the pixel.
+        X: (3,) the match's point in camera 1, baselines, None where there is none.
+    """
+
+    x1: np.ndarray
+    line: np.ndarray
+    curve: np.ndarray
+    candidates: tuple[Candidate, ...]
+    match: int | None
+    x1_match: np.ndarray | None
+    x2_match: np.ndarray | None
+    residual_px: float | None
+    ray: np.ndarray
+    X: np.ndarray | None
+
+    def describe(self) -> str:
+        """In words."""
+        words = [
+            f"pixel ({self.x1[0]:.1f}, {self.x1[1]:.1f}) of image 1: {len(self.candidates):,} keypoints near its line"
+        ]
+        if self.x2_match is None:
+            words.append("no inlying match near the pixel")
+        else:
+            words.append(
+                f"match {self.match} at ({self.x2_match[0]:.1f}, {self.x2_match[1]:.1f}) of image 2, "
+                f"{self.residual_px:.2f} px from its line"
+            )
+        if self.X is not None:
+            words.append(
+                f"its point lies at ({self.X[0]:.3f}, {self.X[1]:.3f}, {self.X[2]:.3f}) baselines"
+            )
+        return "; ".join(words) + "."
+
+
+class EpipolarExplorer:
+    """Answers pixels of image 1 with epipolar lines, candidates, matches and rays.
+
+    Args:
+        result: a reconstruction with a fundamental matrix (general or planar).
+        reach_px: a match counts as the pixel's if it lies at most this far from it.
+        band_px: a keypoint is a candidate if it lies at most this far from the line.
+
+    Raises:
+        InputError: the reconstruction has no epipolar geometry.
+    """
+
+    def __init__(self, result: Reconstruction, *, reach_px: float = 12.0, band_px: float = 1.5):
+        view = result.two_view
+        if view.F is None:
+            raise InputError(
+                f"there are no epipolar lines to explore: the verdict is '{view.verdict}'. {view.reason}"
+            )
+        self.result, self.F = result, view.F
+        self.reach_px, self.band_px = reach_px, band_px
+        self._rows = view.inliers.nonzero().squeeze(1)
+        names = [name for name, (_, f2) in result.features.items() if len(f2)]
+        self._operators = [
+            (name, row) for name in names for row in range(len(result.features[name][1]))
+        ]
+        keypoints = [result.features[name][1].keypoints for name in names] or [
+            np.zeros((0, 2), np.float32)
+        ]
+        self._keypoints2 = torch.from_numpy(np.concatenate(keypoints).astype(np.float64))
+        self._ideal2 = _ideal(self._keypoints2, view.camera2)
+        cloud = result.cloud
+        #: the depth to which rays are drawn, baselines
+        self.far = (
+            10.0
+            if cloud is None or not len(cloud)
+            else float(np.percentile(cloud.xyz[:, 2].numpy(), 98))
+        )
+        self._point_of = {} if cloud is None else {int(m): k for k, m in enumerate(cloud.match)}
+
+    def look(self, x1: tuple[float, float] | np.ndarray) -> EpipolarView:
+        """What the pixel x1 = (x, y) of image 1 says.
+
+        Raises:
+            InputError: not two finite numbers, or a pixel outside image 1.
+        """
+        pixel = np.asarray(x1, dtype=np.float64)
+        w, h = self.result.images[0].size_wh
+        if pixel.shape != (2,) or not np.isfinite(pixel).all():
+            raise InputError(f"a pixel is two finite numbers (x, y), not {x1!r}")
+        if not (-0.5 <= pixel[0] <= w - 0.5 and -0.5 <= pixel[1] <= h - 0.5):
+            raise InputError(
+                f"pixel ({pixel[0]:g}, {pixel[1]:g}) lies outside image 1, which has {w} x {h} pixels"
+            )
+        view, corr = self.result.two_view, self.result.correspondences
+        ideal = _ideal(torch.from_numpy(pixel)[None], view.camera1)
+        line = epipolar_lines(self.F, ideal)[0]
+        K1, _ = view.camera1.tensors()
+        ray = torch.nn.functional.normalize(
+            torch.cat((normalize(ideal, K1)[0], torch.ones(1, dtype=torch.float64))), dim=0
+        )
+
+        match = self._match_near(pixel)
+        x1_match = x2_match = residual = X = None
+        if match is not None:
+            x1_match, x2_match = corr.x1[match].numpy(), corr.x2[match].numpy()
+            own = epipolar_lines(self.F, _ideal(corr.x1[match][None], view.camera1))[0]
+            residual = abs(float(own[:2] @ _ideal(corr.x2[match][None], view.camera2)[0] + own[2]))
+            if match in self._point_of and self.result.cloud is not None:
+                X = self.result.cloud.xyz[self._point_of[match]].numpy()
+        return EpipolarView(
+            pixel,
+            line.numpy(),
+            self._curve(line),
+            self._candidates(line),
+            match,
+            x1_match,
+            x2_match,
+            residual,
+            ray.numpy(),
+            X,
+        )
+
+    def keypoint(self, operator: str, row: int) -> np.ndarray:
+        """(2,) the pixel of an operator's keypoint in image 1.
+
+        Raises:
+            InputError: no such operator or row.
+        """
+        if operator not in self.result.features:
+            raise InputError(
+                f"operator '{operator}' was not used; there are {', '.join(self.result.features)}"
+            )
+        f1 = self.result.features[operator][0]
+        if not 0 <= row < len(f1):
+            raise InputError(
+                f"{operator} has {len(f1):,} keypoints in image 1; there is none with number {row}"
+            )
+        return f1.keypoints[row].astype(np.float64)
+
+    def selected(self, entity_path: str, instance: int | None) -> np.ndarray | None:
+        """(2,) the pixel of image 1 behind an entity that was selected in the Rerun viewer; None
+        for all but keypoints."""
+        found = _KEYPOINT.search(entity_path)
+        if found is None or instance is None or found["operator"] not in self.result.features:
+            return None
+        return self.keypoint(found["operator"], instance)
+
+    def _match_near(self, pixel: np.ndarray) -> int | None:
+        if not len(self._rows):
+            return None
+        away = (self.result.correspondences.x1[self._rows] - torch.from_numpy(pixel)).norm(dim=1)
+        k = int(away.argmin())
+        return int(self._rows[k]) if float(away[k]) <= self.reach_px else None
+
+    def _candidates(self, line: Tensor) -> tuple[Candidate, ...]:
+        away = (self._ideal2 @ line[:2] + line[2]).abs()
+        near = (away <= self.band_px).nonzero().squeeze(1)
+        near = near[away[near].argsort()]
+        found = []
+        for k in near.tolist():
+            (operator, row), (x, y) = self._operators[k], self._keypoints2[k].tolist()
+            found.append(Candidate(operator, row, (x, y), float(away[k])))
+        return tuple(found)
+
+    def _curve(self, line: Tensor) -> np.ndarray:
+        camera = self.result.two_view.camera2
+        w, h = camera.size_wh
+        ends = clip_line(
+            line.numpy(), w, h, margin=0.25 * max(w, h) if camera.has_distortion else 0.0
+        )
+        if ends is None or not camera.has_distortion:
+            return np.zeros((0, 2)) if ends is None else ends
+        K, d = camera.tensors()
+        assert d is not None
+        share = torch.linspace(0, 1, _STEPS, dtype=torch.float64)[:, None]
+        straight = (1 - share) * torch.from_numpy(ends[0]) + share * torch.from_numpy(ends[1])
+        bent = denormalize(distort(normalize(straight, K), d), K).numpy()
+        return bent[((bent >= -0.5) & (bent <= (w - 0.5, h - 0.5))).all(1)]
+
+
+def _ideal(x: Tensor, camera: Camera) -> Tensor:
+    """(N, 2) pixels of a photograph as an ideal pinhole would have seen them."""
+    K, d = camera.tensors()
+    return x if d is None else denormalize(undistort(normalize(x, K), d), K)
+
+
+def clip_line(line: np.ndarray, w: int, h: int, margin: float = 0.0) -> np.ndarray | None:
+    """(2, 2) where the line (a, b, c) enters and leaves an image of w x h pixels, None if it passes
+    by."""
+    a, b, c = line
+    size = a * a + b * b
+    if size == 0:
+        return None
+    foot, along = -c * np.array([a, b]) / size, np.array([b, -a]) / np.sqrt(size)
+    low, high = np.array([-0.5, -0.5]) - margin, np.array([w - 0.5, h - 0.5]) + margin
+    start, stop = -np.inf, np.inf
+    for k in range(2):
+        if along[k] == 0:
+            if not low[k] <= foot[k] <= high[k]:
+                return None
+            continue
+        near, far = sorted(((low[k] - foot[k]) / along[k], (high[k] - foot[k]) / along[k]))
+        start, stop = max(start, near), min(stop, far)
+    return None if start >= stop else np.stack([foot + start * along, foot + stop * along])

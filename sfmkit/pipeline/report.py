@@ -1,0 +1,77 @@
+"""``report.json``: the result in numbers. Its schema is ``report.schema.json`` beside this file,
+versioned."""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from .._utils.versions import versions
+
+if TYPE_CHECKING:
+    from ..types import Camera
+    from .reconstruction import Reconstruction
+
+SCHEMA_VERSION = 1
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) that every report obeys."""
+    return json.loads(files("sfmkit.pipeline").joinpath("report.schema.json").read_text())
+
+
+def _numbers(value: Any) -> Any:
+    """Tensors and arrays as nested lists; what JSON cannot hold (NaN, infinity) as null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_numbers(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "K": _numbers(camera.K),
+        "distortion": _numbers(camera.distortion),
+        "size_wh": list(camera.size_wh),
+        "source": camera.source,
+    }
+
+
+def make_report(result: Reconstruction) -> dict[str, Any]:
+    """The report of a reconstruction as plain Python, ready for :func:`json.dumps`."""
+    view = result.two_view
+    report: dict[str, Any] = {
+        "schema_version": SCHEMA_VERSION,
+        "images": [
+            {"path": str(i.path) if i.path else None, "size_wh": list(i.size_wh)}
+            for i in result.images
+        ],
+        "camera": [_camera(view.camera1), _camera(view.camera2)],
+        "preset": result.options.name,
+        "seed": result.seed,
+        "operators": {name: line.as_dict() for name, line in result.account.items()},
+        "verdict": {
+            "kind": view.verdict.value,
+            "reason": view.reason,
+            "evidence": {k: _numbers(float(v)) for k, v in view.evidence.items()},
+        },
+        "pose": None
+        if view.R is None
+        else {
+            "R": _numbers(view.R),
+            "t": None if view.t is None else _numbers(view.t),
+            "sigma_deg": None if view.sigma_deg is None else _numbers(list(view.sigma_deg)),
+        },
+        "reprojection_rmse_px": _numbers(result.reprojection_rmse_px),
+        "timings_s": {k: round(v, 4) for k, v in result.timings_s.items()},
+        "warnings": list(result.warnings),
+        "versions": versions(),
+    }
+    if result.errors is not None:
+        report["errors"] = {k: _numbers(v) for k, v in result.errors.items()}
+    return report

@@ -1,0 +1,1 @@
+"""Rerun recordings: log, read, inspect. No other package imports rerun."""

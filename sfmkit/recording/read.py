@@ -1,0 +1,214 @@
+"""Reading a recording back: what was logged, as NumPy arrays."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from rerun.chunk import Chunk, RrdReader
+
+from ..errors import InputError
+
+# then the version of Rerun that wrote the file: major, minor, patch, and what kind of release
+_MAGIC = b"RRF2"
+
+_ROW = "rerun.controls.RowId"  # grows with time
+
+
+class RecordingError(InputError):
+    """A file is no recording, or not one that can be read here; or it does not hold what was asked
+    for."""
+
+
+@dataclass(frozen=True)
+class Logged:
+    """One component of an entity at one time.
+
+    Attributes:
+        entity, component: e.g. ``/world/points/operator`` and ``sfmkit:residual_px``.
+        times: timeline -> value (clock times in ns since 1970); empty for what holds at all times.
+        values: an array with a row for each mark, or a list where it is no plain array (texts,
+            strips of lines).
+    """
+
+    entity: str
+    component: str
+    times: Mapping[str, int]
+    values: np.ndarray | list
+
+
+class Recording:
+    """What a file holds. Values are converted when they are asked for.
+
+    Attributes:
+        path: of the file.
+        entities: paths of what was logged, sorted; what the viewer keeps for itself is left out.
+    """
+
+    def __init__(self, path: Path, chunks: Mapping[str, list[Chunk]]):
+        self.path = path
+        self._chunks = chunks
+        self.entities = tuple(sorted(chunks))
+
+    def __contains__(self, entity: str) -> bool:
+        return entity in self._chunks
+
+    def below(self, entity: str) -> tuple[str, ...]:
+        """The entity's direct children, by name as it was given (``gftt+brief``, not
+        ``gftt\\+brief``)."""
+        start = entity.rstrip("/") + "/"
+        rest = (e[len(start) :] for e in self.entities if e.startswith(start))
+        first_parts = (re.split(r"(?<!\\)/", r, maxsplit=1)[0] for r in rest)
+        return tuple(dict.fromkeys(re.sub(r"\\(.)", r"\1", part) for part in first_parts))
+
+    def logged(self, entity: str) -> list[Logged]:
+        """Everything logged to an entity, by stage and then in the order of logging.
+
+        Raises:
+            RecordingError: no such entity; the message names the nearest.
+        """
+        if entity not in self._chunks:
+            near = get_close_matches(entity, self.entities, n=3, cutoff=0.4)
+            hint = f" Did you mean {' or '.join(near)}?" if near else ""
+            raise RecordingError(
+                f"{self.path} has no entity {entity}.{hint} It has {len(self.entities)} in all."
+            )
+        found: list[tuple[int, bytes, Logged]] = []
+        for chunk in self._chunks[entity]:
+            batch = chunk.to_record_batch()
+            timelines = [n for n in chunk.timeline_names if n in batch.schema.names]
+            names = [
+                n
+                for n in batch.schema.names
+                if n not in timelines and not n.startswith("rerun.controls")
+            ]
+            for row in range(batch.num_rows):
+                times = {n: _integer(batch[n][row]) for n in timelines if batch[n][row].is_valid}
+                order = (times.get("stage", -1), batch[_ROW][row].as_py())
+                for name in names:
+                    if batch[name][row].is_valid:
+                        found.append(
+                            (*order, Logged(entity, name, times, _plain(batch[name][row].values)))
+                        )
+        return [item for _, _, item in sorted(found, key=lambda f: f[:2])]
+
+    def latest(self, entity: str) -> dict[str, np.ndarray | list]:
+        """The last values of all components of an entity."""
+        return {item.component: item.values for item in self.logged(entity)}
+
+    def text(self, entity: str) -> str:
+        """The last text document of an entity."""
+        return str(self.latest(entity)["TextDocument:text"][0])
+
+    def prefixes(self) -> tuple[str, ...]:
+        """Where in the file reconstructions begin: ``""`` where nothing else was asked for."""
+        return tuple(e.removesuffix("/report") for e in self.entities if e.endswith("/report"))
+
+    def report(self, prefix: str = "") -> dict[str, Any]:
+        """The report of a reconstruction.
+
+        Raises:
+            RecordingError: there is none, or it is of another schema.
+        """
+        from .log import SCHEMA
+
+        if f"{prefix}/report" not in self:
+            others = self.prefixes()
+            hint = (
+                f"; it has some under {', '.join(others)}"
+                if others
+                else ": it was not written by sfmkit reconstruct"
+            )
+            raise RecordingError(
+                f"{self.path} holds no reconstruction{f' under {prefix}' if prefix else ''}{hint}"
+            )
+        report = json.loads(self.text(f"{prefix}/report"))
+        if report.get("schema") != SCHEMA:
+            by = report.get("versions", {}).get("sfmkit", "another version")
+            raise RecordingError(
+                f"{self.path} follows schema {report.get('schema')} of recordings (sfmkit {by}); this sfmkit reads schema "
+                f"{SCHEMA}: use the sfmkit that wrote it, or write it anew"
+            )
+        return report
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Open an .rrd file.
+
+    Raises:
+        RecordingError: no such file, not a recording, cut off, or written by a newer Rerun.
+    """
+    path = Path(path)
+    written, here = _version(path), rr.__version_info__[:2]
+    if written > here:
+        raise RecordingError(
+            f"{path} was written by Rerun {_dotted(written)}, this is Rerun {_dotted(here)}: use the environment that wrote it, "
+            f"or install rerun-sdk {_dotted(written)}"
+        )
+    chunks: dict[str, list[Chunk]] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # the reader only warns of a missing end
+            for chunk in RrdReader(path).stream():
+                if not chunk.entity_path.startswith("/__"):
+                    chunks.setdefault(chunk.entity_path, []).append(chunk)
+    except (RuntimeError, ValueError, Warning) as error:
+        if written < here:
+            hint = f"it was written by Rerun {_dotted(written)}, this is {_dotted(here)}; try `rerun rrd migrate {path}`"
+        else:
+            hint = "it is cut off or damaged: its writing was interrupted, or copying it was; write or fetch it again"
+        raise RecordingError(f"{path} cannot be read: {hint}") from error
+    return Recording(path, chunks)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """The release of Rerun that wrote a file, from its first bytes."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+    except FileNotFoundError:
+        raise RecordingError(f"there is no file {path}") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not head:
+        raise RecordingError(f"{path} is empty (0 bytes)")
+    if head[:3] != _MAGIC[:3]:
+        raise RecordingError(f"{path} is no recording: an .rrd file begins with {_MAGIC.decode()}")
+    if head[:4] != _MAGIC or len(head) < 8:
+        raise RecordingError(
+            f"{path} cannot be read: it is cut off, or of a release of Rerun long ago"
+        )
+    return head[4], head[5]
+
+
+def _dotted(version: tuple[int, ...]) -> str:
+    return ".".join(map(str, version))
+
+
+def _integer(time: pa.Scalar) -> int:
+    return time.value if hasattr(time, "value") else time.as_py()
+
+
+def _plain(values: pa.Array) -> np.ndarray | list:
+    """Arrow values of one row as (N,) or (N, d) NumPy, or as a list where they are nested
+    otherwise."""
+    if pa.types.is_fixed_size_list(values.type) and pa.types.is_primitive(values.type.value_type):
+        return (
+            values.flatten()
+            .to_numpy(zero_copy_only=False)
+            .reshape(len(values), values.type.list_size)
+        )
+    if pa.types.is_primitive(values.type):
+        return values.to_numpy(zero_copy_only=False)
+    if pa.types.is_string(values.type):
+        return np.array(values.to_pylist(), dtype=str)
+    return values.to_pylist()

@@ -1,0 +1,166 @@
+"""What became of every keypoint and every match: the thread from a 3-D point back to its pixels and
+detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from ..estimation import undistorted_pixels
+from ..geometry.coordinates import normalize
+from ..geometry.fundamental import sampson_distance
+from ..geometry.homography import transfer_error
+from ..geometry.pose import cheirality
+from ..types import Correspondences, Features, Matches, PointCloud, TwoView, Verdict
+
+POINT = "point"
+INLIER = "inlier without a point"
+OFF_LINE = "outlier: off its epipolar line"
+OFF_HOMOGRAPHY = "outlier: off the homography"
+BEHIND = "outlier: behind a camera"
+NO_GEOMETRY = "no geometry to agree with"
+MERGED = "merged into a duplicate"
+UNMATCHED = "unmatched"
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What became of N correspondences.
+
+    Attributes:
+        fate: (N,) one of the constants of this module.
+        distance_px: (N,) float64 Sampson distance to the epipolar geometry, or transfer error where
+            a homography is the model; NaN where there is neither.
+        point: (N,) int64 row of the cloud, -1 for none.
+        operators: (N,) all operators that found it, joined by ``+``.
+    """
+
+    fate: np.ndarray
+    distance_px: np.ndarray
+    point: np.ndarray
+    operators: np.ndarray
+
+
+def trace(
+    corr: Correspondences, view: TwoView, cloud: PointCloud | None, threshold_px: float
+) -> Trace:
+    """Follow every correspondence to its end.
+
+    Args:
+        threshold_px: what made an inlier; tells the two kinds of outliers apart.
+    """
+    x1, x2 = undistorted_pixels(corr, view.camera1, view.camera2)
+    n = len(corr)
+    distance = torch.full((n,), torch.nan, dtype=torch.float64)
+    fate = np.full(n, NO_GEOMETRY, dtype=object)
+    if view.verdict is Verdict.PURE_ROTATION and view.H is not None:
+        distance = transfer_error(view.H, x1, x2).sqrt()
+        fate[:] = OFF_HOMOGRAPHY
+    elif view.F is not None:
+        distance = sampson_distance(view.F, x1, x2).abs()
+        if view.verdict is not Verdict.TOO_LITTLE:
+            fate[:] = OFF_LINE
+    if view.R is not None and view.t is not None:
+        (K1, _), (K2, _) = view.camera1.tensors(), view.camera2.tensors()
+        in_front = cheirality(normalize(x1, K1), normalize(x2, K2), view.R, view.t)
+        fate[((distance < threshold_px) & ~in_front).numpy()] = BEHIND
+    fate[view.inliers.numpy()] = INLIER
+    point = np.full(n, -1, dtype=np.int64)
+    if cloud is not None:
+        point[cloud.match.numpy()] = np.arange(len(cloud))
+        fate[point >= 0] = POINT
+    return Trace(
+        fate.astype(str),
+        distance.numpy(),
+        point,
+        joined_names(corr.operator_mask.numpy(), corr.operators),
+    )
+
+
+def joined_names(mask: np.ndarray, operators: tuple[str, ...]) -> np.ndarray:
+    """The names of the operators of each bit mask, e.g. ``surf+orb``; masks (N,) int64 -> (N,)
+    str."""
+    values, inverse = np.unique(mask, return_inverse=True)
+    names = [
+        "+".join(name for k, name in enumerate(operators) if value >> k & 1)
+        for value in values.tolist()
+    ]
+    return np.array(names, dtype=str)[inverse] if len(values) else np.zeros(0, dtype=str)
+
+
+def matches_to_rows(
+    features: Mapping[str, tuple[Features, Features]],
+    matches: Mapping[str, Matches],
+    corr: Correspondences,
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Per operator, where its matches went in the fusion.
+
+    Returns:
+        For each operator ``(rows, merged)``: (M,) int64 the correspondence that carries a match,
+        and (M,) bool whether it was merged into that one instead of being it. A merged match is
+        carried by the nearest correspondence, in both images together, that its operator has a part
+        in.
+    """
+    operator_id, mask = corr.operator_id.numpy(), corr.operator_mask.numpy()
+    index1, index2 = corr.index1.numpy(), corr.index2.numpy()
+    places = np.concatenate([corr.x1.numpy(), corr.x2.numpy()], axis=1)
+    found = {}
+    for k, name in enumerate(corr.operators):
+        m, (f1, f2) = matches[name], features[name]
+        own = np.flatnonzero(operator_id == k)
+        width = max(len(f2), 1)
+        keys = index1[own] * width + index2[own]
+        order = np.argsort(keys)
+        wanted = m.index1 * width + m.index2
+        at = np.searchsorted(keys, wanted, sorter=order)
+        slot = (
+            order[np.minimum(at, len(order) - 1)] if len(own) else np.zeros(len(m), dtype=np.int64)
+        )
+        merged = keys[slot] != wanted if len(own) else np.ones(len(m), dtype=bool)
+        rows = own[slot] if len(own) else np.full(len(m), -1)
+        with_k = np.flatnonzero(mask >> k & 1)
+        if merged.any() and len(with_k):
+            lost = np.concatenate(
+                [f1.keypoints[m.index1[merged]], f2.keypoints[m.index2[merged]]], axis=1
+            )
+            rows[merged] = with_k[cKDTree(places[with_k]).query(lost)[1]]
+        found[name] = (rows, merged)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointTrace:
+    """What became of an operator's N keypoints in one image: ``fate`` (N,) str, and the rows of the
+    correspondence ``match`` and of the cloud's ``point`` (N,) int64, -1 for none."""
+
+    fate: np.ndarray
+    match: np.ndarray
+    point: np.ndarray
+
+
+def trace_keypoints(
+    features: Mapping[str, tuple[Features, Features]],
+    matches: Mapping[str, Matches],
+    corr: Correspondences,
+    traced: Trace,
+) -> dict[str, tuple[KeypointTrace, KeypointTrace]]:
+    """What became of every keypoint of every operator, in both images."""
+    became = {}
+    for name, (rows, merged) in matches_to_rows(features, matches, corr).items():
+        m = matches[name]
+        pair = []
+        for f, index in zip(features[name], (m.index1, m.index2)):
+            match = np.full(len(f), -1, dtype=np.int64)
+            match[index] = rows
+            fate = np.full(len(f), UNMATCHED, dtype=object)
+            fate[index] = np.where(
+                merged, MERGED, traced.fate[rows] if len(traced.fate) else MERGED
+            )
+            point = np.where(match >= 0, traced.point[match] if len(traced.point) else -1, -1)
+            pair.append(KeypointTrace(fate.astype(str), match, point))
+        became[name] = (pair[0], pair[1])
+    return became

@@ -1,0 +1,127 @@
+"""The Rerun viewer as a process: in a window, or served to a browser. It listens on the loopback
+interface only."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from ..errors import SfmError
+from .read import read_recording
+
+HOST = "127.0.0.1"
+_COMMAND = (sys.executable, "-m", "rerun_cli", "--bind", HOST)
+
+
+class ViewerError(SfmError):
+    """The viewer cannot be opened here."""
+
+
+@dataclass(frozen=True)
+class Server:
+    """A served recording: open `url` in a browser. The page comes from `web_port`, its data from
+    `data_port`."""
+
+    url: str
+    web_port: int
+    data_port: int
+    process: subprocess.Popen
+
+    def wait(self) -> None:
+        """Until the process ends or is interrupted."""
+        self.process.wait()
+
+
+def open_window(path: str | Path) -> None:
+    """Show a recording in a window, and come back when it is closed.
+
+    Raises:
+        RecordingError: the file cannot be read.
+        ViewerError: there is no display, or the viewer failed.
+    """
+    read_recording(path)
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise ViewerError(
+            f"there is no display to open a window on; `sfmkit view --web {path}` serves it to a browser"
+        )
+    status = subprocess.call([*_COMMAND, "--port", "auto", str(path)])
+    if status:
+        raise ViewerError(
+            f"the viewer ended with status {status}; `sfmkit view --web {path}` serves it to a browser"
+        )
+
+
+@contextmanager
+def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
+    """Serve a recording and the viewer's page on free ports of this machine until the block is
+    left.
+
+    Raises:
+        RecordingError: the file cannot be read.
+        ViewerError: the server did not come up.
+    """
+    read_recording(path)
+    web, data = free_ports(2)
+    process = subprocess.Popen(
+        [*_COMMAND, "--serve-web", "--web-viewer-port", str(web), "--port", str(data), str(path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + timeout_s
+        while not (listens(web) and listens(data)):
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise ViewerError(f"the viewer's server did not come up within {timeout_s:.0f} s")
+            time.sleep(0.05)
+        source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
+        yield Server(f"http://{HOST}:{web}/?url={source}", web, data, process)
+    finally:
+        end(process)
+
+
+def end(process: subprocess.Popen) -> None:
+    """End the viewer and the interpreter that started it, and wait until both are gone."""
+    if os.name != "posix":
+        process.terminate()
+        process.wait()
+        return
+    for signal_, patience in ((signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0)):
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
+            try:
+                os.killpg(process.pid, signal_)
+            except (ProcessLookupError, PermissionError):  # nobody is left
+                return
+            process.poll()
+            time.sleep(0.02)
+
+
+def free_ports(n: int) -> list[int]:
+    sockets = [socket.socket() for _ in range(n)]
+    try:
+        for s in sockets:
+            s.bind((HOST, 0))
+        return [s.getsockname()[1] for s in sockets]
+    finally:
+        for s in sockets:
+            s.close()
+
+
+def listens(port: int) -> bool:
+    try:
+        socket.create_connection((HOST, port), 0.5).close()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""Results as files: output folders, tables, HTML pages, LaTeX."""

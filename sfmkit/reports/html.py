@@ -1,0 +1,97 @@
+"""``sfmkit report``: all benchmarks of a folder on one page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from .._utils.writing import atomic_write
+from ..errors import InputError
+from . import page
+from .result import FILE, Result, ResultTable, read_result
+
+PAGE = "report.html"
+_ORDER = ("oxford", "fountain", "uav")  # as in the paper; others follow by name
+_INTRO = (
+    "Two-view structure from motion with several feature operators: the experiments of Dippold & Tsai (Two-View "
+    "Structure-from-Motion with Multiple Feature Detector Operators), rerun. The paper's own values stand in the coloured "
+    "columns, beside ours.",
+)
+
+
+def find_results(folder: str | os.PathLike) -> list[Path]:
+    """The folders directly below `folder` that hold a result, or `folder` itself, in the order of
+    the page.
+
+    Raises:
+        InputError: there is no such folder, or none in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(
+            f"there is no folder {folder}; `sfmkit bench` writes results, by default below out/"
+        )
+    found = [path.parent for path in (folder / FILE, *folder.glob(f"*/{FILE}")) if path.is_file()]
+    if not found:
+        raise InputError(
+            f"{folder} holds no results (no {FILE} in it or in a folder below); run `sfmkit bench oxford`, `fountain` or "
+            "`uav` first, with --out in that folder"
+        )
+    return sorted(
+        found, key=lambda f: (_ORDER.index(f.name) if f.name in _ORDER else len(_ORDER), f.name)
+    )
+
+
+def write_report(folder: str | os.PathLike, out: str | os.PathLike | None = None) -> Path:
+    """Write the page of all results below `folder`.
+
+    Args:
+        out: the file; None for ``report.html`` in the folder.
+
+    Raises:
+        InputError: no results, or a damaged one.
+        OutputError: the file cannot be written.
+    """
+    folders = find_results(folder)
+    results = [read_result(f) for f in folders]
+    path = Path(folder) / PAGE if out is None else Path(out)
+    text = page.page(
+        "sfmkit: the paper's experiments",
+        _INTRO,
+        [(r.title, section(r, f)) for r, f in zip(results, folders)],
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def section(result: Result, folder: Path) -> str:
+    """A benchmark's part of the page: how to make it again, its tables and figures, and its
+    circumstances."""
+    parts = [page.code(result.command), page.paragraphs(result.notes)]
+    parts += [table_html(table) for table in result.tables]
+    parts += [
+        page.figure(figure.title, folder / figure.file, figure.alt) for figure in result.figures
+    ]
+    parts += [page.heading("Made on and with"), page.facts(circumstances(result))]
+    return "".join(parts)
+
+
+def table_html(table: ResultTable) -> str:
+    """A result's table as HTML."""
+    return page.table(
+        table.title,
+        [column.name for column in table.columns],
+        table.shown(),
+        right=[column.right for column in table.columns],
+        marked=[column.paper for column in table.columns],
+        note=table.note,
+    )
+
+
+def circumstances(result: Result) -> Sequence[tuple[str, str]]:
+    """Machine, versions and seeds as terms and texts."""
+    seeds = ", ".join(map(str, result.seeds)) or "none"
+    versions = ", ".join(f"{name} {number}" for name, number in result.versions.items())
+    return [*result.machine.items(), ("versions", versions), ("seeds", seeds)]
