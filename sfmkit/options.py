@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Literal
 
 from .errors import InputError
+from .types import FrozenMapping
 
 Preset = Literal["default", "paper", "dense"]
 
@@ -40,7 +40,7 @@ class DetectOptions:
     preset: Preset = "default"
     budget: int | None = 40_000
     max_size: int | None = None
-    overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
+    overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=FrozenMapping)
 
 
 @dataclass(frozen=True)
@@ -144,4 +144,4 @@ DENSE = Options(
     detect=DetectOptions(preset="dense", budget=80_000),
     match=MatchOptions(max_ratio=0.9),
 )
-PRESETS: Mapping[str, Options] = MappingProxyType({o.name: o for o in (DEFAULT, DENSE, PAPER)})
+PRESETS: Mapping[str, Options] = FrozenMapping({o.name: o for o in (DEFAULT, DENSE, PAPER)})

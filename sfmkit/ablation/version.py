@@ -21,9 +21,9 @@ _LIBRARIES = {
 
 # What the results of a stage depend on. Editing a plot makes no feature out of date.
 SOURCES = {
-    "features": ("features", "io/images.py", "_utils/parallel.py", "types.py"),
+    "features": ("features", "io/images.py", "_utils/parallel.py", "types"),
     "pairs": ("datasets",),
-    "matches": ("matching", "_utils/parallel.py", "types.py"),
+    "matches": ("matching", "_utils/parallel.py", "types"),
     "estimates": (
         "ablation/stages.py",
         "estimation",
@@ -31,7 +31,7 @@ SOURCES = {
         "matching",
         "options.py",
         "pipeline/registration.py",
-        "types.py",
+        "types",
     ),
 }
 

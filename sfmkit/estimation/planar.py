@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -25,7 +24,7 @@ from torch import Tensor
 from ..errors import InputError
 from ..geometry.homography import homography_sampson
 from ..geometry.homography_refinement import refine_homography
-from ..types import Correspondences
+from ..types import Correspondences, FrozenMapping
 from . import opencv
 from ._problems import HomographyProblem
 from .verdict import MAX_LOG10_NFA, MIN_MATCHES, log10_nfa
@@ -81,7 +80,7 @@ class PlanarFit:
     H: Tensor | None
     inliers: Tensor
     reason: str
-    evidence: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    evidence: Mapping[str, float] = field(default_factory=FrozenMapping)
 
 
 def estimate_planar(

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from ...estimation.planar import PAPER_PLANAR, PlanarOptions
 from ...io.images import Image, read_image
 from ...pipeline.reconstruction import Reconstruction, reconstruct
 from ...pipeline.registration import Registration, register
-from ...types import Camera
+from ...types import Camera, FrozenMapping
 from .. import read_sweep, read_table
 from ..variants import JOIN, Variant
 from .findings import Findings
@@ -142,10 +141,10 @@ def run_again(case: Case, row: Row, progress: Callable[[str, str], None] | None 
     )
     variant = Variant(row["preset"], tuple(json.loads(row["vary"]).items()))
     operators = sorted(row["operators"])  # the order in which a sweep fuses them
-    overrides = {o: MappingProxyType(dict(variant.setting(o).options)) for o in operators}
+    overrides = {o: FrozenMapping(dict(variant.setting(o).options)) for o in operators}
     options = replace(
         variant.options,
-        detect=replace(variant.options.detect, overrides=MappingProxyType(overrides)),
+        detect=replace(variant.options.detect, overrides=FrozenMapping(overrides)),
     )
     result: Reconstruction | Registration
     try:

@@ -1,0 +1,98 @@
+"""The matches of all operators, fused into one set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ._checks import check_tensor
+from .frozen_mapping import FrozenMapping
+
+MAX_OPERATORS = 62  # one bit of an int64 mask per operator
+
+
+@dataclass(frozen=True)
+class OperatorCounts:
+    """What one operator put into a set of correspondences.
+
+    Attributes:
+        keypoints: found in image 1 and image 2.
+        matches: after the operator's own matching.
+        merged: of those, how many were merged into a coincident correspondence of another keypoint
+            or operator.
+    """
+
+    keypoints: tuple[int, int]
+    matches: int
+    merged: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Matched points of all operators, in pixels, with their provenance.
+
+    Attributes:
+        x1, x2: (N, 2) float64 pixels in image 1 and image 2.
+        distance: (N,) float64 descriptor distance, comparable within one operator only.
+        ratio: (N,) float64 distance over second-best distance, NaN where unknown.
+        operator_id: (N,) int64 into `operators`; of a merged correspondence, the operator whose
+            position was kept.
+        operator_mask: (N,) int64; bit k is set when `operators[k]` found this correspondence.
+        index1, index2: (N,) int64 rows of the Features of `operator_id`.
+        operators: names; bit and id k is `operators[k]`.
+        counts: per operator, what it put in and lost so far.
+    """
+
+    x1: Tensor
+    x2: Tensor
+    distance: Tensor
+    ratio: Tensor
+    operator_id: Tensor
+    operator_mask: Tensor
+    index1: Tensor
+    index2: Tensor
+    operators: tuple[str, ...]
+    counts: Mapping[str, OperatorCounts]
+
+    def __post_init__(self) -> None:
+        check_tensor("Correspondences", "x1", self.x1, (None, 2), torch.float64)
+        n = len(self.x1)
+        check_tensor("Correspondences", "x2", self.x2, (n, 2), torch.float64)
+        for name in ("distance", "ratio"):
+            check_tensor("Correspondences", name, getattr(self, name), (n,), torch.float64)
+        for name in ("operator_id", "operator_mask", "index1", "index2"):
+            check_tensor("Correspondences", name, getattr(self, name), (n,), torch.int64)
+        if not (torch.isfinite(self.x1).all() and torch.isfinite(self.x2).all()):
+            raise InputError("Correspondences.x1 and x2 must be finite")
+        if len(self.operators) > MAX_OPERATORS:
+            raise InputError(
+                f"at most {MAX_OPERATORS} operators fit one set, not {len(self.operators)}"
+            )
+        if n and not (
+            int(self.operator_id.min()) >= 0 and int(self.operator_id.max()) < len(self.operators)
+        ):
+            raise InputError("Correspondences.operator_id points outside Correspondences.operators")
+        if n and not bool(((self.operator_mask >> self.operator_id) & 1).all()):
+            raise InputError("Correspondences.operator_mask must hold the bit of operator_id")
+        object.__setattr__(self, "counts", FrozenMapping(self.counts))
+
+    def __len__(self) -> int:
+        return len(self.x1)
+
+    def __repr__(self) -> str:
+        per = ", ".join(f"{o} {int(self.found_by(o).sum()):,}" for o in self.operators)
+        return f"Correspondences({len(self):,}: {per})"
+
+    def found_by(self, operator: str) -> Tensor:
+        """(N,) bool: the correspondences that `operator` found, alone or with others."""
+        return ((self.operator_mask >> self.operators.index(operator)) & 1).bool()
+
+    def take(self, index: Tensor) -> Correspondences:
+        """The correspondences at `index` (integers or a mask), in that order; the counts are
+        kept."""
+        rows = ("x1", "x2", "distance", "ratio", "operator_id", "operator_mask", "index1", "index2")
+        return replace(self, **{name: getattr(self, name)[index] for name in rows})

@@ -1,0 +1,101 @@
+"""The geometry of two views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ._checks import check_tensor
+from .camera import Camera
+from .frozen_mapping import FrozenMapping
+
+
+class Verdict(StrEnum):
+    """What the correspondences turned out to show."""
+
+    GENERAL = "general"
+    PLANAR = "planar"
+    PURE_ROTATION = "pure rotation"
+    TOO_LITTLE = "too little evidence"
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """A model that was the best so far.
+
+    Attributes:
+        iteration: minimal samples tried by then.
+        model: (3, 3).
+        inliers: how many of the matches it was scored on agree with it.
+        score: its mean score per match it was scored on, in [0, 1].
+        stage: ``sample``, ``local optimisation`` or ``refinement``.
+    """
+
+    iteration: int
+    model: Tensor
+    inliers: int
+    score: float
+    stage: str
+
+
+@dataclass(frozen=True, eq=False)
+class TwoView:
+    """The geometry of two views: how camera 2 stands to camera 1, ``X2 = R X1 + t``.
+
+    Attributes:
+        camera1, camera2: the cameras.
+        inliers: (N,) bool over the correspondences.
+        verdict: general, planar, pure rotation or too little evidence.
+        reason: the verdict in words.
+        evidence: the numbers the verdict rests on.
+        R: (3, 3) rotation, None without a trustworthy one.
+        t: (3,) unit translation, None where unknown (pure rotation) or untrustworthy.
+        E, F, H: (3, 3) essential, fundamental (pixels), homography (pixels) where estimated, else
+            None.
+        pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on
+            its tangent plane, radians), None where not computed.
+        sigma_deg: standard deviation of rotation and translation direction, degrees, from
+            `pose_covariance`.
+        alternatives: other poses (R, t) that explain the matches as well: a plane seen twice
+            usually allows two.
+        history: how the robust search improved, oldest first; empty where the back end does not
+            say. Its models are E, in normalised coordinates, or F, in pixels, whichever was
+            estimated.
+    """
+
+    camera1: Camera
+    camera2: Camera
+    inliers: Tensor
+    verdict: Verdict
+    reason: str = ""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    R: Tensor | None = None
+    t: Tensor | None = None
+    E: Tensor | None = None
+    F: Tensor | None = None
+    H: Tensor | None = None
+    pose_covariance: Tensor | None = None
+    sigma_deg: tuple[float, float] | None = None
+    alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
+    history: tuple[Improvement, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_tensor("TwoView", "inliers", self.inliers, (None,), torch.bool)
+        for name in ("R", "E", "F", "H"):
+            value = getattr(self, name)
+            if value is not None:
+                check_tensor("TwoView", name, value, (3, 3), torch.float64)
+        if self.t is not None:
+            check_tensor("TwoView", "t", self.t, (3,), torch.float64)
+            if abs(float(self.t.norm()) - 1) > 1e-6:
+                raise InputError(f"TwoView.t must have unit length, not {float(self.t.norm()):g}")
+        if self.pose_covariance is not None:
+            check_tensor("TwoView", "pose_covariance", self.pose_covariance, (5, 5), torch.float64)
+        if self.verdict is Verdict.TOO_LITTLE and self.R is not None:
+            raise InputError("TwoView: a verdict of too little evidence comes without a pose")
+        object.__setattr__(self, "evidence", FrozenMapping(self.evidence))
