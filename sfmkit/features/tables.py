@@ -116,18 +116,6 @@ class OperatorSpec:
         return self.detector != self.descriptor.removeprefix("root")
 
 
-# Beyond these OpenCV hangs, crashes or divides by zero; other numbers need only be finite and not
-# negative.
-LIMITS: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(
-        ("nlevels", "nOctaves", "nOctaveLayers", "layers", "q_radius", "q_theta", "q_hist"), (1, 16)
-    ),
-    "octaves": (0, 16),
-    "blockSize": (1, 63),
-    "scaleFactor": (1.01, 8.0),
-    **dict.fromkeys(("patternScale", "scale_factor"), (0.1, 100.0)),
-}
-
 _SIFT: Options = {
     "nfeatures": 0,
     "nOctaveLayers": 3,
