@@ -1,15 +1,15 @@
-"""Photographs into memory: decoded, upright, 8 bit, with what EXIF says about the camera."""
+"""Photographs into memory: decoded, upright, 8 bit, with the metadata about the camera."""
 
 from __future__ import annotations
 
 import io
-import math
 import os
 import threading
-from dataclasses import dataclass, replace
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,39 +17,28 @@ import PIL.Image
 from PIL import UnidentifiedImageError
 
 from ..errors import ImageError
+from .exif import Exif, read_exif
+from .jpeg import jpeg_damage
+from .pixels import ImageWarning, floats_to_8bit, integers_to_8bit
 
-MAX_PIXELS = 500_000_000  # 2 GB decoded; a file that claims more is damaged or hostile
+MAX_PIXELS = 500_000_000  # decoding takes 8 bytes per pixel, the image 4: 4 GB and 2 GB
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".gif")
+# The decoders that may be started (JPEG covers MPO). Some of Pillow's others start programs.
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "PPM", "GIF")
+READABLE = "JPEG, PNG, TIFF, BMP, WebP, PNM and GIF files can be read"
+TURNED_BY_THE_DECODER = ("TIFF",)  # Pillow and OpenCV return TIFF upright, everything else stored
+_FOREIGN = (  # (offset, first bytes, what it is)
+    (0, b"%!PS", "a PostScript file"),
+    (0, b"\xc5\xd0\xd3\xc6", "a PostScript file"),
+    (0, b"%PDF", "a PDF file"),
+    (4, b"ftypheic", "a HEIC picture"),
+    (4, b"ftypmif1", "a HEIC picture"),
+    (4, b"ftypavif", "an AVIF picture"),
+    (4, b"jP  ", "a JPEG 2000 picture"),
+    (0, b"8BPS", "a Photoshop file"),
+)
 
-_pillow_limit = threading.Lock()  # Pillow's own pixel limit is a global of its module
-
-
-@dataclass(frozen=True)
-class Exif:
-    """What EXIF says about the camera; None where it says nothing (zero, NaN and rubbish count as
-    nothing).
-
-    Attributes:
-        make, model: of the camera.
-        orientation: 1 to 8 as it was in the file (EXIF 2.32, tag 0x0112); the pixels have been
-            turned upright since.
-        focal_mm: focal length, mm.
-        focal_35mm: focal length of a 35 mm film camera with the same angle of view, mm; whole
-            numbers only.
-        focal_plane_resolution: pixels per mm on the sensor along the stored x and y.
-        size_wh: width and height in pixels when the photograph was taken; differs from the file's
-            when it was resized.
-        stored_wh: width and height of the pixels as stored, before they were turned upright.
-    """
-
-    make: str | None = None
-    model: str | None = None
-    orientation: int = 1
-    focal_mm: float | None = None
-    focal_35mm: float | None = None
-    focal_plane_resolution: tuple[float, float] | None = None
-    size_wh: tuple[int, int] | None = None
-    stored_wh: tuple[int, int] | None = None
+_pillow_limit = threading.RLock()  # Pillow's own pixel limit is a global of its module
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,26 +84,51 @@ class Image:
 def read_image(source: str | os.PathLike | np.ndarray | Image) -> Image:
     """Read a photograph from a file, or take one from an array.
 
-    Files may be 8 or 16 bit, RGB, grey, palette or CMYK, with or without alpha; of several frames
-    the first is read. 16-bit values keep their high byte (``v >> 8``). Alpha is dropped: the stored
-    colours are used, so that no edge is invented where the picture becomes transparent. The EXIF
-    orientation is applied: sizes are upright sizes.
+    JPEG, PNG, TIFF, BMP, WebP, PNM and GIF are read; no other decoder is started. Files may be 8 or
+    16 bit, RGB, grey, palette or CMYK, 32-bit integer or float grey, with or without alpha; of
+    several frames the first is read. 16-bit values keep their high byte (``v >> 8``), unless they
+    use a small part of the range: then they are scaled by what they use, with an
+    :class:`~sfmkit.io.pixels.ImageWarning`. A JPEG file that decodes and is damaged has one, too.
+    Alpha is dropped: the stored colours are used, so that no edge is invented where the picture
+    becomes transparent. The EXIF orientation is applied once: sizes are upright sizes.
 
     Args:
         source: a path; or an array (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA of uint8,
             uint16 or floats in [0, 1]; or an :class:`Image`, which comes back as it is.
 
     Raises:
-        ImageError: no such file, a folder, an empty, damaged, cut-off or unknown file, more than
-            500 megapixels, or an array of another kind.
+        ImageError: no such file, a folder, an empty, damaged, truncated or unknown file, more than
+            500 megapixels (checked before decoding, which takes 8 bytes per pixel), or an array
+            of another kind.
     """
     if isinstance(source, Image):
         return source
     if isinstance(source, (str, os.PathLike)):
         return _read_file(Path(source))
     if isinstance(source, np.ndarray):
-        return _image(_to_8bit(source, "the array"))
+        return _image(_array_to_8bit(source, "the array"))
     raise ImageError(f"an image is a path or a NumPy array, not {type(source).__name__}")
+
+
+def _array_to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
+    """Check shape and dtype of `pixels` and bring their values to uint8."""
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)):
+        raise ImageError(
+            f"{what} must have shape (H, W), (H, W, 3) or (H, W, 4), not {pixels.shape}"
+        )
+    if 0 in pixels.shape:
+        raise ImageError(f"{what} has no pixels: its shape is {pixels.shape}")
+    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
+        raise ImageError(_too_large(what, pixels.shape[1], pixels.shape[0]))
+    if pixels.ndim == 3:
+        pixels = pixels[..., :3]  # without alpha
+    if pixels.dtype == np.uint8:
+        return pixels
+    if pixels.dtype == np.uint16:
+        return integers_to_8bit(pixels, what)
+    if pixels.dtype.kind == "f":
+        return floats_to_8bit(pixels, what)
+    raise ImageError(f"{what} must be uint8, uint16 or floats in [0, 1], not {pixels.dtype}")
 
 
 def _image(pixels: np.ndarray, path: Path | None = None, exif: Exif | None = None) -> Image:
@@ -126,66 +140,35 @@ def _image(pixels: np.ndarray, path: Path | None = None, exif: Exif | None = Non
     return Image(rgb, cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), path, exif)
 
 
-def _to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
-    """Check shape and dtype of `pixels` and bring their values to uint8."""
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)):
-        raise ImageError(
-            f"{what} must have shape (H, W), (H, W, 3) or (H, W, 4), not {pixels.shape}"
-        )
-    if 0 in pixels.shape:
-        raise ImageError(f"{what} has no pixels: its shape is {pixels.shape}")
-    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
-        raise ImageError(_too_large(what, pixels.shape[1], pixels.shape[0]))
-    if pixels.dtype == np.uint8:
-        return pixels
-    if pixels.dtype == np.uint16:
-        return (pixels >> 8).astype(np.uint8)
-    if pixels.dtype.kind == "f":
-        if not np.isfinite(pixels).all():
-            raise ImageError(f"{what} holds NaN or infinite values")
-        low, high = float(pixels.min()), float(pixels.max())
-        if low < 0 or high > 1:
-            raise ImageError(
-                f"{what} of floats must lie in [0, 1], not in [{low:g}, {high:g}]; scale it or use uint8"
-            )
-        return np.rint(pixels * 255).astype(np.uint8)
-    raise ImageError(f"{what} must be uint8, uint16 or floats in [0, 1], not {pixels.dtype}")
-
-
 def _read_file(path: Path) -> Image:
     return decode_image(_read_bytes(path), path)
 
 
 def decode_image(data: bytes, path: Path) -> Image:
-    """:func:`read_image` of a file's bytes, which came from elsewhere; `path` is what to call it.
+    """Decode a file's bytes as :func:`read_image` does; `path` only names them in messages.
 
     Raises:
         ImageError: as there.
     """
     try:
         with _open(data, path) as picture:
-            exif = _read_exif(picture)
+            exif = read_exif(picture)
             pixels = _decode(picture, data, path)
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        PIL.Image.DecompressionBombError,
-    ) as error:
-        if isinstance(error, ImageError):
-            raise
-        if "truncated" in str(error).lower() or isinstance(error, EOFError):
-            raise ImageError(
-                f"{path} is truncated: it ends before the picture does; fetch it again"
-            ) from error
-        raise ImageError(
-            f"{path} cannot be decoded ({error}): it is damaged or of an unsupported kind"
-        ) from error
-    if exif is not None:
+    except ImageError:
+        raise
+    except Exception as error:  # Pillow's decoders raise almost anything on damaged files
+        raise _undecodable(path, error) from error
+    if exif is not None and picture.format not in TURNED_BY_THE_DECODER:
         pixels = _upright(pixels, exif.orientation)
     return _image(pixels, path, exif)
+
+
+def _undecodable(path: Path, error: Exception) -> ImageError:
+    if "truncated" in str(error).lower() or isinstance(error, EOFError):
+        return ImageError(f"{path} is truncated: it ends before the picture does; fetch it again")
+    return ImageError(
+        f"{path} cannot be decoded ({error}): it is damaged or of an unsupported kind"
+    )
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -232,21 +215,11 @@ def _near_names(path: Path) -> str:
 def _open(data: bytes, path: Path) -> PIL.Image.Image:
     """The picture with its header read and its pixels still encoded, checked to be of a bearable
     size."""
-    with _pillow_limit:  # Pillow would warn from 89 megapixels on and refuse from 179 on
-        limit, PIL.Image.MAX_IMAGE_PIXELS = PIL.Image.MAX_IMAGE_PIXELS, None
+    with _no_pillow_limit():
         try:
-            picture = PIL.Image.open(io.BytesIO(data))
+            picture = PIL.Image.open(io.BytesIO(data), formats=FORMATS)
         except UnidentifiedImageError:
-            kind = (
-                "a text file, not an image"
-                if _is_text(data[:4096])
-                else "not an image of a known kind"
-            )
-            raise ImageError(
-                f"{path} is {kind}; JPEG, PNG, TIFF, BMP, WebP and PNM files can be read"
-            ) from None
-        finally:
-            PIL.Image.MAX_IMAGE_PIXELS = limit
+            raise ImageError(f"{path} is {_kind(data)}; {READABLE}") from None
     w, h = picture.size
     if w * h > MAX_PIXELS:
         raise ImageError(_too_large(str(path), w, h))
@@ -255,8 +228,31 @@ def _open(data: bytes, path: Path) -> PIL.Image.Image:
     return picture
 
 
+@contextmanager
+def _no_pillow_limit():
+    """Switch off Pillow's own limit (a warning from 89 megapixels on, an error from 179 on); one
+    thread at a time."""
+    with _pillow_limit:
+        limit, PIL.Image.MAX_IMAGE_PIXELS = PIL.Image.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            PIL.Image.MAX_IMAGE_PIXELS = limit
+
+
+def _kind(data: bytes) -> str:
+    """What a file is that no decoder recognised."""
+    for offset, magic, kind in _FOREIGN:
+        if data.startswith(magic, offset):
+            return f"{kind}, not a photograph of a known kind"
+    return "a text file, not an image" if _is_text(data[:4096]) else "not an image of a known kind"
+
+
 def _too_large(what: str, w: int, h: int) -> str:
-    return f"{what} is {w:,} x {h:,} pixels; at most {MAX_PIXELS // 10**6} megapixels are read: make it smaller"
+    return (
+        f"{what} is {w:,} x {h:,} pixels; at most {MAX_PIXELS // 10**6} megapixels are read: "
+        "make it smaller"
+    )
 
 
 def _is_text(head: bytes) -> bool:
@@ -267,24 +263,59 @@ def _is_text(head: bytes) -> bool:
 
 
 def _decode(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarray:
-    """The stored pixels, (H, W) or (H, W, 3) uint8."""
+    """The pixels (H, W) or (H, W, 3) uint8 as the decoder returns them."""
     if picture.format in ("JPEG", "MPO") and picture.mode in ("RGB", "L"):
-        # The same library and the same bits as Pillow, without a copy; None when the data end
-        # early, and then Pillow says what is wrong.
-        flag = cv2.IMREAD_GRAYSCALE if picture.mode == "L" else cv2.IMREAD_COLOR_RGB
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+        pixels = _decode_jpeg(picture, data, path)
         if pixels is not None:
             return pixels
+    if picture.width * picture.height > (PIL.Image.MAX_IMAGE_PIXELS or MAX_PIXELS):
+        with _no_pillow_limit():  # TIFF checks the size again while it decodes
+            picture.load()
+    else:
+        picture.load()
     mode = picture.mode
+    if mode in ("L", "RGB", "RGBA") and _is_deep(picture, data):
+        deep = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if deep is not None and deep.dtype == np.uint16 and deep.ndim == 3:
+            return integers_to_8bit(deep[..., 2::-1], str(path))
     if mode in ("L", "RGB"):
         return np.asarray(picture)
-    if mode.startswith("I"):  # 16 bit grey
-        return _to_8bit(np.clip(np.asarray(picture), 0, 65535).astype(np.uint16), str(path))
+    if mode.startswith("I"):
+        values = np.asarray(picture)
+        if mode != "I" or picture.format == "PPM" or _is_deep(picture, data):
+            values = values.clip(0, 65535).astype(np.uint16)
+        return integers_to_8bit(values, str(path))
     if mode == "F":
-        return _to_8bit(np.asarray(picture), str(path))
+        return floats_to_8bit(np.asarray(picture), str(path), stretch=True)
     if mode in ("1", "LA", "La"):
         return np.asarray(picture.convert("L"))
     return np.asarray(picture.convert("RGB"))
+
+
+def _decode_jpeg(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarray | None:
+    """The stored pixels; None when the data end early, and then Pillow says what is wrong.
+
+    OpenCV uses the same library as Pillow and returns the same bits without a copy.
+    """
+    flag = cv2.IMREAD_GRAYSCALE if picture.mode == "L" else cv2.IMREAD_COLOR_RGB
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    damage = None if pixels is None else jpeg_damage(data, pixels)
+    if damage:
+        warnings.warn(
+            f"{path} is damaged: {damage}. Parts of the picture are wrong; use an undamaged copy",
+            ImageWarning,
+            stacklevel=2,
+        )
+    return pixels
+
+
+def _is_deep(picture: PIL.Image.Image, data: bytes) -> bool:
+    """Whether the file has 16 bits per channel (PNG specification, IHDR; TIFF 6.0,
+    BitsPerSample)."""
+    if picture.format == "PNG":
+        return data[24:25] == b"\x10"
+    bits = getattr(picture, "tag_v2", {}).get(258, ())
+    return picture.format == "TIFF" and set(bits if isinstance(bits, tuple) else (bits,)) == {16}
 
 
 # EXIF orientation -> what makes the stored rows and columns upright (EXIF 2.32, tag 0x0112)
@@ -301,46 +332,3 @@ _UPRIGHT = {
 
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return _UPRIGHT[orientation](pixels) if orientation in _UPRIGHT else pixels
-
-
-def _read_exif(picture: PIL.Image.Image) -> Exif | None:
-    """What EXIF says; a damaged EXIF block says as much as can be read of it, and never stops the
-    picture."""
-    try:
-        tags: dict[int, Any] = dict(picture.getexif())
-        if not tags:
-            return None
-        tags |= picture.getexif().get_ifd(0x8769)
-    except Exception:  # Pillow's EXIF parser raises almost anything on damaged blocks
-        return None
-
-    def number(tag: int) -> float | None:
-        try:
-            value = float(tags[tag])
-        except (KeyError, TypeError, ValueError, ZeroDivisionError):
-            return None
-        return value if math.isfinite(value) and value > 0 else None
-
-    def text(tag: int) -> str | None:
-        value = tags.get(tag)
-        return value.split("\0")[0].strip() or None if isinstance(value, str) else None
-
-    def pair(x: float | None, y: float | None) -> tuple[float, float] | None:
-        return (x, y) if x and y else None
-
-    orientation = int(number(0x0112) or 1)
-    unit_mm = {3: 10.0, 4: 1.0, 5: 0.001}.get(
-        int(number(0xA210) or 2), 25.4
-    )  # 2, and whatever else: inches
-    resolution = pair(number(0xA20E), number(0xA20F))
-    size = pair(number(0xA002), number(0xA003))
-    exif = Exif(
-        make=text(0x010F),
-        model=text(0x0110),
-        orientation=orientation if 1 <= orientation <= 8 else 1,
-        focal_mm=number(0x920A),
-        focal_35mm=number(0xA405),
-        focal_plane_resolution=resolution and (resolution[0] / unit_mm, resolution[1] / unit_mm),
-        size_wh=size and (int(size[0]), int(size[1])),
-    )
-    return replace(exif, stored_wh=picture.size)

@@ -16,7 +16,9 @@ import pytest
 from PIL import ImageOps
 
 from sfmkit.errors import ImageError
-from sfmkit.io.images import MAX_PIXELS, Exif, Image, read_image
+from sfmkit.io.exif import Exif
+from sfmkit.io.images import MAX_PIXELS, Image, read_image
+from sfmkit.io.pixels import ImageWarning
 
 W, H = 61, 43
 
@@ -117,7 +119,7 @@ def test_palette_and_bilevel_and_cmyk(tmp_path, rgb):
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "webp"])
 def test_orientation_is_applied_and_reported(tmp_path, rgb, orientation, suffix):
     tags = PIL.Image.Exif()
     tags[0x0112] = orientation
@@ -127,6 +129,62 @@ def test_orientation_is_applied_and_reported(tmp_path, rgb, orientation, suffix)
     assert image.size_wh == ((W, H) if orientation < 5 else (H, W))
     assert image.grey.shape == image.rgb.shape[:2]
     assert image.exif.orientation == orientation
+    assert image.exif.stored_wh == (W, H)
+
+
+def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """The upright pixels by the definition of tag 0x0112: where row 0 and column 0 are."""
+    if orientation >= 5:  # row 0 is a side
+        pixels = pixels.swapaxes(0, 1)
+    rows = -1 if orientation in (3, 4, 7, 8) else 1
+    columns = -1 if orientation in (2, 3, 6, 7) else 1
+    return pixels[::rows, ::columns]
+
+
+def deep_tiff(pixels: np.ndarray, orientation: int) -> bytes:
+    """An uncompressed 16-bit TIFF, written from the TIFF 6.0 specification."""
+    h, w = pixels.shape[:2]
+    count = pixels.size // (h * w)
+    body, bits = pixels.astype("<u2").tobytes(), struct.pack(f"<{count}H", *[16] * count)
+    tags = {
+        256: (3, 1, w),
+        257: (3, 1, h),
+        258: (3, count, 16),
+        259: (3, 1, 1),
+        262: (3, 1, 2 if count == 3 else 1),
+        273: (4, 1, 0),
+        274: (3, 1, orientation),
+        277: (3, 1, count),
+        278: (3, 1, h),
+        279: (4, 1, len(body)),
+    }
+    after = 8 + 2 + 12 * len(tags) + 4
+    tags[273] = (4, 1, after + len(bits))
+    if count > 1:
+        tags[258] = (3, count, after)
+    directory = b"".join(struct.pack("<HHII", tag, *entry) for tag, entry in tags.items())
+    header = b"II*\0" + struct.pack("<IH", 8, len(tags))
+    return header + directory + bytes(4) + bits + body
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("compression", [None, "tiff_lzw", "tiff_adobe_deflate", "packbits"])
+def test_tiff_is_turned_once(tmp_path, rgb, orientation, compression):
+    path = _save(tmp_path / "o.tif", rgb, tiffinfo={274: orientation}, compression=compression)
+    image = read_image(path)
+    assert np.array_equal(image.rgb, turned(rgb, orientation))
+    assert image.exif.orientation == orientation
+    assert image.exif.stored_wh == (W, H)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("channels", [1, 3])
+def test_deep_tiff_is_turned_once(tmp_path, rgb, orientation, channels):
+    pixels = rgb if channels == 3 else rgb[..., 0]
+    (tmp_path / "o.tif").write_bytes(deep_tiff(pixels.astype(np.uint16) * 257, orientation))
+    image = read_image(tmp_path / "o.tif")
+    got = image.rgb if channels == 3 else image.grey
+    assert np.array_equal(got, turned(pixels, orientation))
     assert image.exif.stored_wh == (W, H)
 
 
@@ -146,6 +204,131 @@ def test_pictures_beyond_pillows_own_limit_are_read_without_a_warning(tmp_path):
         warnings.simplefilter("error")
         assert read_image(path).size_wh == (10_000, 9_000)
     assert before == PIL.Image.MAX_IMAGE_PIXELS
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+def test_pillows_limit_does_not_apply_while_a_tiff_is_decoded(
+    tmp_path, rgb, monkeypatch, compression
+):
+    """Pillow checks TIFF twice; the limit is lowered here in place of a picture of 200
+    megapixels."""
+    path = _save(tmp_path / "a.tif", rgb, compression=compression)
+    monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", W * H // 4)
+    assert np.array_equal(read_image(path).rgb, rgb)
+    assert PIL.Image.MAX_IMAGE_PIXELS == W * H // 4
+
+
+# --- low ranges
+
+
+def quiet(source) -> Image:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return read_image(source)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_values_of_fewer_bits_in_a_16_bit_file(tmp_path, rgb, bits, suffix, channels):
+    pixels = rgb if channels == 3 else rgb[..., 0]
+    pixels = np.ascontiguousarray(cv2.normalize(pixels, None, 0, 255, cv2.NORM_MINMAX))
+    path = str(tmp_path / f"a.{suffix}")
+    stored = pixels[..., ::-1] if channels == 3 else pixels
+    assert cv2.imwrite(path, stored * np.uint16(2 ** (bits - 8)))
+    with pytest.warns(ImageWarning, match=f"uses {bits} of 16 bits"):
+        image = read_image(path)
+    assert np.array_equal(image.rgb if channels == 3 else image.grey, pixels)
+
+
+@pytest.mark.parametrize("top", [255, 1023, 4095, 65535, 2**24 - 1, 2**31 - 1])
+def test_32_bit_integers_are_scaled_by_what_they_use(tmp_path, top):
+    ramp = np.linspace(0, top, 256).astype(np.int32).repeat(4).reshape(8, 128)
+    _save(tmp_path / "a.tif", ramp)
+    image = quiet(tmp_path / "a.tif")
+    assert np.abs(image.grey.astype(int) - ramp / (top / 255)).max() <= 1
+
+
+def test_thermal_pictures_are_stretched(tmp_path, rgb):
+    """Hundredths of a kelvin: 300 K +- 20 K, of which the high byte would leave 16 levels."""
+    celsius = cv2.normalize(rgb[..., 0].astype(np.float64), None, 0, 40, cv2.NORM_MINMAX)
+    kelvin = np.rint((celsius + 280) * 100).astype(np.uint16)
+    assert cv2.imwrite(str(tmp_path / "a.png"), kelvin)
+    assert cv2.imwrite(str(tmp_path / "a.tif"), (celsius - 10).astype(np.float32))
+    for name in ("a.png", "a.tif"):
+        with pytest.warns(ImageWarning, match="stretched"):
+            grey = read_image(tmp_path / name).grey
+        assert (grey.min(), grey.max()) == (0, 255)
+        assert len(np.unique(grey)) > 90
+        assert np.corrcoef(grey.ravel(), celsius.ravel())[0, 1] > 0.999
+
+
+@pytest.mark.parametrize("value", [0, 300, 65535])
+def test_a_picture_of_one_value_is_not_stretched(value):
+    assert (quiet(np.full((9, 9), value, np.uint16)).grey == value >> 8).all()
+
+
+def test_low_range_arrays_and_alpha():
+    ramp = (np.arange(4096, dtype=np.uint16)).reshape(64, 64)
+    rgba = np.stack([ramp, ramp, ramp, np.full_like(ramp, 65535)], -1)
+    for array in (ramp, rgba):
+        with pytest.warns(ImageWarning, match="the array uses 12 of 16 bits"):
+            assert np.array_equal(read_image(array).grey, ramp >> 4)
+
+
+# --- damage that decodes
+
+
+@pytest.fixture(scope="module")
+def jpeg(rgb) -> bytes:
+    file = io.BytesIO()
+    PIL.Image.fromarray(cv2.resize(rgb, (640, 480), interpolation=cv2.INTER_CUBIC)).save(
+        file, "JPEG", quality=95
+    )
+    return file.getvalue()
+
+
+def _middle(data: bytes, patch: bytes, at: float = 0.5) -> bytes:
+    start = int(len(data) * at)
+    return data[:start] + patch + data[start + len(patch) :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda d: _middle(d, bytes(1024)),
+        lambda d: _middle(d, bytes(4096), 0.3),
+        lambda d: _middle(d, np.random.default_rng(0).bytes(4096)),
+        lambda d: d[: len(d) // 2] + b"\xff\xd9",
+        lambda d: _middle(d, b"\xff\xd9"),
+    ],
+    ids=["zeros", "more zeros", "rubbish", "cut and closed", "early end"],
+)
+def test_damaged_jpeg_that_decodes_warns(tmp_path, jpeg, damage):
+    (tmp_path / "a.jpg").write_bytes(damage(jpeg))
+    with pytest.warns(ImageWarning, match=r"a\.jpg is damaged"):
+        assert read_image(tmp_path / "a.jpg").size_wh == (640, 480)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"quality": 95},
+        {"quality": 30, "optimize": True},
+        {"progressive": True},
+        {"restart_marker_blocks": 4},
+        {"subsampling": 0, "quality": 100},
+    ],
+)
+@pytest.mark.parametrize("grey", [False, True])
+def test_sound_jpeg_does_not_warn(tmp_path, rgb, options, grey):
+    large = cv2.resize(rgb, (640, 480), interpolation=cv2.INTER_CUBIC)
+    flat = np.full((2000, 3000, 3), 255, np.uint8)
+    flat[:40, :40] = rgb[:40, :40]
+    for pixels in (large, flat, flat[::-1]):
+        path = _save(tmp_path / "a.jpg", pixels[..., 0] if grey else pixels, **options)
+        path.write_bytes(path.read_bytes() + bytes(5000))  # padding after the end
+        quiet(path)
 
 
 def test_arrays(rgb):
@@ -223,6 +406,29 @@ def test_text_and_rubbish_named_png(tmp_path):
         read_image(tmp_path / "rubbish.png")
 
 
+@pytest.mark.parametrize(
+    "head,kind",
+    [
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 40 30\n%%EndComments\n", "PostScript"),
+        (b"%PDF-1.7\n", "PDF"),
+        (b"\0\0\0\x18ftypheic\0\0\0\0", "HEIC"),
+        (b"8BPS\0\1", "Photoshop"),
+    ],
+)
+def test_no_other_decoder_is_started(tmp_path, monkeypatch, head, kind):
+    """Pillow would start Ghostscript for PostScript, whatever the file's name."""
+    ran = tmp_path / "ran"
+    for name in ("gs", "gswin32c", "gswin64c"):
+        script = tmp_path / name
+        script.write_text(f"#!/bin/sh\ntouch {ran}\n")
+        script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    (tmp_path / "a.jpg").write_bytes(head + bytes(200))
+    with pytest.raises(ImageError, match=f"{kind}.*; JPEG, PNG"):
+        read_image(tmp_path / "a.jpg")
+    assert not ran.exists()
+
+
 def test_decompression_bomb(tmp_path):
     (tmp_path / "bomb.png").write_bytes(_png(100_000, 100_000))
     with pytest.raises(ImageError, match="100,000 x 100,000 pixels; at most 500 megapixels"):
@@ -293,6 +499,35 @@ def test_damaged_exif_does_not_stop_the_picture(tmp_path, rgb):
         damaged = block[:k] + b"\xff" * (len(block) - k)
         image = read_image(_save(tmp_path / "a.jpg", rgb, exif=damaged))
         assert image.size_wh == (W, H)
+
+
+XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF><rdf:Description
+   drone-dji:RelativeAltitude="+30.20" drone-dji:GimbalRollDegree="+0.00"
+   drone-dji:GimbalYawDegree="-12.5" drone-dji:GimbalPitchDegree="-89.90">
+   <drone-dji:CalibratedFocalLength>3666.666504</drone-dji:CalibratedFocalLength>
+ </rdf:Description></rdf:RDF></x:xmpmeta>"""
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
+def test_drone_metadata(tmp_path, rgb, suffix):
+    options = {"xmp": XMP.encode()}
+    if suffix == "png":
+        info = PIL.PngImagePlugin.PngInfo()
+        info.add_itxt("XML:com.adobe.xmp", XMP)
+        options = {"pnginfo": info}
+    if suffix == "tif":
+        options = {"tiffinfo": {700: XMP.encode()}}
+    exif = read_image(_save(tmp_path / f"a.{suffix}", rgb, **options)).exif
+    assert exif.calibrated_focal_px == 3666.666504
+    assert exif.relative_altitude_m == 30.2
+    assert exif.gimbal_deg == (-12.5, -89.9, 0)
+
+
+@pytest.mark.parametrize("value", ["", "abc", "1e999", "1.2.3", "-5", "0", "9" * 5000])
+def test_drone_metadata_without_use(tmp_path, rgb, value):
+    xmp = f'<rdf:Description drone-dji:CalibratedFocalLength="{value}"/>'.encode()
+    exif = read_image(_save(tmp_path / "a.jpg", rgb, xmp=xmp)).exif
+    assert exif.calibrated_focal_px is None
 
 
 @pytest.mark.data
