@@ -15,7 +15,8 @@ import numpy as np
 
 from ..errors import CameraError, InputError
 from ..types import Camera
-from .images import Exif, Image
+from .exif import Exif
+from .images import Image
 from .sensors import sensor_width
 
 FILM_DIAGONAL_MM = math.hypot(36, 24)  # the 35 mm film frame

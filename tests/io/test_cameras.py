@@ -13,7 +13,8 @@ import pytest
 
 from sfmkit.errors import CameraError, InputError
 from sfmkit.io.cameras import CameraWarning, camera_from_exif, parse_intrinsics, read_truth
-from sfmkit.io.images import Exif, Image, read_image
+from sfmkit.io.exif import Exif
+from sfmkit.io.images import Image, read_image
 from sfmkit.io.sensors import SENSOR_WIDTH_MM, sensor_width
 
 SIZE = (640, 480)
