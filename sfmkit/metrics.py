@@ -49,6 +49,29 @@ def corner_error(H: np.ndarray, H_true: np.ndarray, size_wh: tuple[int, int]) ->
     return float(np.linalg.norm(a - b, axis=1).mean())
 
 
+def check_point_error(H: np.ndarray, points: np.ndarray) -> float:
+    """Mean distance in pixels of image 2 between annotated points and where H maps their partners.
+
+    Args:
+        H: (3, 3), ``x2 = H x1``.
+        points: (N, 4) rows of x1, y1, x2, y2.
+
+    Returns:
+        Infinite where H sends a point to infinity or behind the camera.
+
+    Raises:
+        InputError: H is not a finite matrix with ``H[2, 2] != 0``, or there are no points.
+    """
+    P = np.asarray(points, dtype=np.float64)
+    if P.ndim != 2 or P.shape[1] != 4 or not len(P) or not np.isfinite(P).all():
+        raise InputError(f"points must be finite numbers of shape (N, 4), not {P.shape}")
+    A = _homography(H, "H")
+    y = _transfer(A / A[2, 2], P[:, :2])
+    if not np.isfinite(y).all():
+        return float("inf")
+    return float(np.linalg.norm(y - P[:, 2:], axis=1).mean())
+
+
 def error_auc(
     errors: Sequence[float], thresholds: Sequence[float] = (1.0, 3.0, 5.0)
 ) -> list[float]:

@@ -7,6 +7,7 @@ import pytest
 
 from sfmkit.errors import InputError
 from sfmkit.metrics import (
+    check_point_error,
     corner_error,
     error_auc,
     homography_rmse,
@@ -79,3 +80,13 @@ def test_matching_measures():
     np.testing.assert_allclose(accuracy, [1 / 3, *[2 / 3] * 9])
     assert matching_score(f1, f2, m, EYE) == pytest.approx(2 / 3)
     assert mean_matching_accuracy(np.zeros(0)) == [0.0] * 10
+
+
+def test_check_point_error_is_the_mean_distance_of_the_points():
+    H = np.array([[2.0, 0, 1], [0, 2, -1], [0, 0, 1]])
+    points = np.array([[1.0, 1, 3, 1], [2, 3, 5, 9]])  # H maps to (3, 1) and (5, 5)
+    assert check_point_error(H, points) == pytest.approx(2.0)
+    assert check_point_error([[1, 0, 0], [0, 1, 0], [-1, 0, 1]], points) == np.inf
+    for bad in (np.zeros((0, 4)), np.zeros((2, 3)), np.full((1, 4), np.nan)):
+        with pytest.raises(InputError):
+            check_point_error(H, bad)

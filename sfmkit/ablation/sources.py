@@ -1,5 +1,4 @@
-"""The pairs of a sweep: from data sets or given, each image known by its bytes, rendered ones made
-once."""
+"""The pairs of a sweep: each image is identified by its bytes; rendered pairs are cached."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ import hashlib
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 import PIL.Image
 
-from ..datasets import Pair, pairs
+from ..datasets import DATASETS, Pair, Source, find_source
+from ..datasets.pair import HOMOGRAPHY, image_size
 from ..errors import CameraError, InputError
 from ..io.images import Image, read_image
 from ..pipeline.reconstruction import choose_cameras
@@ -25,21 +25,18 @@ from .entry import Entry
 from .tasks import ImageRef
 from .version import digest, stage_version
 
-RENDERED = ("synthetic", "planes")
-_ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)  # EXIF: stored rows are columns
-
 
 @dataclass(frozen=True, eq=False)
 class PlannedPair:
-    """A pair as the plan knows it.
+    """A pair of a plan.
 
     Attributes:
-        dataset, sequence, name: as in :class:`sfmkit.datasets.Pair`.
+        dataset, sequence, name: See :class:`sfmkit.datasets.Pair`.
         images: None where an image cannot be read.
-        homography: whether a homography is to be estimated.
-        cameras: of both images, where a two-view geometry is to be estimated.
-        H, R, t: the truth, where known.
-        failure: why the pair cannot be run; empty where it can.
+        homography: Whether a homography is to be estimated.
+        cameras: The cameras of both images, where a two-view geometry is to be estimated.
+        H, R, t, check_points: The truth, where known.
+        failure: Why the pair cannot be run; empty where it can.
     """
 
     dataset: str
@@ -51,6 +48,7 @@ class PlannedPair:
     H: np.ndarray | None = None
     R: np.ndarray | None = None
     t: np.ndarray | None = None
+    check_points: np.ndarray | None = None
     failure: str = ""
 
     def __str__(self) -> str:
@@ -58,10 +56,12 @@ class PlannedPair:
 
     @property
     def has_truth(self) -> bool:
-        return (self.H if self.homography else self.R) is not None
+        if self.homography:
+            return self.H is not None or self.check_points is not None
+        return self.R is not None
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, for the sweep's folder."""
+        """The pair for the sweep's folder."""
 
         def matrix(a: np.ndarray | None) -> list | None:
             return None if a is None else np.asarray(a).tolist()
@@ -84,43 +84,36 @@ class PlannedPair:
             "H": matrix(self.H),
             "R": matrix(self.R),
             "t": matrix(self.t),
+            "check_points": matrix(self.check_points),
             "failure": self.failure,
         }
 
 
 @dataclass
 class ImageShelf:
-    """Images by their bytes. Arrays become PNG files in `folder`, so that workers can be told a
-    path.
+    """Images by their bytes. Arrays become PNG files, so that workers can read them.
 
     Attributes:
-        folder: for those; None keeps them out of the file system, for a plan that is only counted.
+        folder: The folder of these files; None writes none, for a plan that is only counted.
     """
 
     folder: Path | None
     _known: dict[Path, ImageRef] = field(default_factory=dict)
 
     def ref(self, image: Path | np.ndarray) -> ImageRef:
-        """Raises ImageError for what is no image."""
+        """The reference to an image.
+
+        Raises:
+            ImageError: The file is not an image.
+        """
         if isinstance(image, np.ndarray):
             return self._of_array(image)
         path = Path(os.path.abspath(image))
         if path not in self._known:
             data = path.read_bytes() if path.is_file() else b""
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    with PIL.Image.open(io.BytesIO(data)) as picture:
-                        size = (
-                            picture.size[::-1]
-                            if picture.getexif().get(_ORIENTATION) in _TURNED
-                            else picture.size
-                        )
-            except (
-                Exception
-            ):  # Pillow raises almost anything; reading it in earnest says what is wrong
-                size = read_image(path).size_wh
-            self._known[path] = ImageRef(hashlib.sha256(data).hexdigest(), str(path), size)
+            self._known[path] = ImageRef(
+                hashlib.sha256(data).hexdigest(), str(path), image_size(path)
+            )
         return self._known[path]
 
     def _of_array(self, pixels: np.ndarray) -> ImageRef:
@@ -139,8 +132,8 @@ class ImageShelf:
 
 
 def plan_pair(pair: Pair, shelf: ImageShelf) -> PlannedPair:
-    """The pair with its images looked at; what is wrong with them becomes its failure."""
-    homography = pair.H is not None
+    """Check the images and cameras of a pair; what is wrong with them becomes its failure."""
+    homography = pair.kind == HOMOGRAPHY
     failure, images, cameras = "", None, None
     try:
         images = (shelf.ref(pair.image1), shelf.ref(pair.image2))
@@ -158,6 +151,7 @@ def plan_pair(pair: Pair, shelf: ImageShelf) -> PlannedPair:
         pair.H,
         pair.R,
         pair.t,
+        pair.check_points,
         failure,
     )
 
@@ -165,9 +159,8 @@ def plan_pair(pair: Pair, shelf: ImageShelf) -> PlannedPair:
 def _cameras(pair: Pair, images: tuple[ImageRef, ImageRef]) -> tuple[Camera, Camera]:
     if pair.camera1 is None:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # a guessed focal length: the camera's source says so
+            # a guessed focal length is recorded in the camera's source
+            warnings.simplefilter("ignore", UserWarning)
             both: tuple[Image, Image] = (read_image(images[0].path), read_image(images[1].path))
             return choose_cameras(both, None, pair.camera2)
     cameras = (pair.camera1, pair.camera2 or pair.camera1)
@@ -180,7 +173,7 @@ def _cameras(pair: Pair, images: tuple[ImageRef, ImageRef]) -> tuple[Camera, Cam
 
 
 def find_pairs(
-    data: str | Iterable[str | Pair],
+    data: str | os.PathLike | Iterable[str | os.PathLike | Pair],
     root: str | os.PathLike | None,
     cache: Cache | None,
     say: Callable[[str, str], None] = lambda stage, detail: None,
@@ -188,99 +181,83 @@ def find_pairs(
     """The pairs that `data` names or is.
 
     Args:
-        data: ``oxford,strecha:fountain-P11,synthetic:wide+plane`` as text or a list: data sets, of
-            which some sequences; or pairs.
-        root: folder of the data sets; None: see :func:`sfmkit.datasets.pair`.
-        cache: where rendered pairs are kept; None renders them.
+        data: ``oxford,strecha:fountain-P11,pairs.json`` as text, or a list of such items and of
+            pairs; see :func:`sfmkit.datasets.find_source`.
+        root: The folder of the data sets; None: see :func:`sfmkit.datasets.pairs`.
+        cache: The place of rendered pairs; None renders them.
 
     Raises:
-        InputError: unknown or missing data sets or sequences, or no pairs at all.
+        InputError: A data set, list or sequence is unknown, missing or damaged, or there are no
+            pairs at all.
     """
-    items = data.split(",") if isinstance(data, str) else list(data)
+    items: list[str | os.PathLike | Pair]
+    if isinstance(data, str):
+        items = [*data.split(",")]
+    else:
+        items = [data] if isinstance(data, os.PathLike) else list(data)
     found: list[Pair] = []
     for item in items:
         if isinstance(item, Pair):
             found.append(item)
-            continue
-        name, _, sequences = item.strip().partition(":")
-        if not name:
-            continue
-        chosen = [s for s in sequences.split("+") if s] or None
-        say("pairs", item.strip())
-        found += (
-            _rendered(name, chosen, cache, say)
-            if name in RENDERED
-            else pairs(name, root, sequences=chosen)
-        )
+        elif text := os.fspath(item).strip():
+            say("pairs", text)
+            source = find_source(text, root)
+            found += _generated(source, cache, say) or source.pairs()
     if not found:
-        raise InputError("no pairs to run on; name data sets, e.g. --data oxford,strecha")
+        raise InputError("there are no pairs to run on; name data sets: --data oxford,strecha")
     return found
 
 
-def sequences_of(name: str) -> list[str]:
-    """The sequences of a rendered data set."""
-    if name == "synthetic":
-        from ..datasets.synthetic import SCENES
+def _generated(source: Source, cache: Cache | None, say: Callable[[str, str], None]) -> list[Pair]:
+    """The pairs of a data set that is computed, from the cache where they are there.
 
-        return list(SCENES)
-    from ..datasets.planes import SEQUENCES
-
-    return list(SEQUENCES)
-
-
-def _rendered(
-    name: str, sequences: Sequence[str] | None, cache: Cache | None, say: Callable[[str, str], None]
-) -> list[Pair]:
-    """The pairs of a rendered data set: a scene takes seconds, so it is kept."""
-    found = []
-    for sequence in sequences or sequences_of(name):
-        key = digest("pairs", stage_version("pairs"), name, sequence)
+    Empty for a data set that is read from the disk.
+    """
+    found: list[Pair] = []
+    known = getattr(source.reader, "generated", ())
+    if source.name is None or not known:
+        return found
+    code = DATASETS.provenance(source.name)
+    for sequence in source.sequences or known:
+        key = digest("pairs", stage_version("pairs"), source.name, code, sequence)
         entry = None if cache is None else cache.get("pairs", key)
         if entry is not None:
-            found += _unpack(name, sequence, entry)
+            found += _unpack(entry)
             continue
-        say("render", f"{name} {sequence}")
-        made = list(pairs(name, sequences=[sequence]))
+        say("render", f"{source.name} {sequence}")
+        made = source.pairs((sequence,))
         found += made
         if cache is not None:
             cache.put("pairs", _pack(key, made))
     return found
 
 
-_ARRAYS = ("image1", "image2", "H", "R", "t")
+_ARRAYS = ("image1", "image2", "H", "R", "t", "check_points")
 
 
 def _pack(key: str, made: Sequence[Pair]) -> Entry:
     arrays = {
-        f"{i}.{n}": np.asarray(getattr(p, n))
-        for i, p in enumerate(made)
-        for n in _ARRAYS
-        if getattr(p, n) is not None
+        f"{i}.{name}": np.asarray(getattr(pair, name))
+        for i, pair in enumerate(made)
+        for name in _ARRAYS
+        if getattr(pair, name) is not None
     }
-    for i, p in enumerate(made):
-        if p.camera1 is not None and p.camera2 is not None:
-            arrays |= {f"{i}.K1": p.camera1.K, f"{i}.K2": p.camera2.K}
-    return Entry(key, {"names": [p.name for p in made]}, arrays)
+    for i, pair in enumerate(made):
+        for n, camera in (("1", pair.camera1), ("2", pair.camera2)):
+            if camera is not None:
+                arrays |= {f"{i}.K{n}": camera.K, f"{i}.distortion{n}": camera.distortion}
+    names = [[pair.dataset, pair.sequence, pair.name, pair.kind] for pair in made]
+    return Entry(key, {"names": names}, arrays)
 
 
-def _unpack(dataset: str, sequence: str, entry: Entry) -> list[Pair]:
-    def pair(i: int, name: str) -> Pair:
-        mine: Mapping[str, Any] = {n: entry.arrays.get(f"{i}.{n}") for n in (*_ARRAYS, "K1", "K2")}
-        one, two = (
-            None if mine[k] is None else Camera(mine[k], mine[n].shape[1::-1])
-            for k, n in (("K1", "image1"), ("K2", "image2"))
-        )
-        return Pair(
-            dataset,
-            sequence,
-            name,
-            mine["image1"],
-            mine["image2"],
-            one,
-            two,
-            mine["H"],
-            mine["R"],
-            mine["t"],
-        )
+def _unpack(entry: Entry) -> list[Pair]:
+    def pair(i: int, dataset: str, sequence: str, name: str, kind: str) -> Pair:
+        mine: dict[str, Any] = {n: entry.arrays.get(f"{i}.{n}") for n in _ARRAYS}
+        for n in ("1", "2"):
+            K = entry.arrays.get(f"{i}.K{n}")
+            if K is not None:
+                size_wh = mine[f"image{n}"].shape[1::-1]
+                mine[f"camera{n}"] = Camera(K, size_wh, entry.arrays[f"{i}.distortion{n}"])
+        return Pair(dataset, sequence, name, kind=kind, **mine)
 
-    return [pair(i, name) for i, name in enumerate(entry.meta["names"])]
+    return [pair(i, *words) for i, words in enumerate(entry.meta["names"])]

@@ -22,7 +22,7 @@ import torch
 from .._utils.writing import atomic_write
 from ..errors import InputError
 from ..geometry.pose import rotation_error, translation_error
-from ..metrics import corner_error, homography_rmse
+from ..metrics import check_point_error, corner_error, homography_rmse
 from ..types import Verdict
 from .sources import PlannedPair
 from .tasks import EstimateTask, Job
@@ -53,6 +53,7 @@ SCHEMA = pa.schema(
         ("error", _number),
         ("error_unit", _text),
         ("corner_error_px", _number),
+        ("check_error_px", _number),
         ("rmse", _number),
         ("rotation_deg", _number),
         ("translation_deg", _number),
@@ -139,15 +140,21 @@ def make_row(
 
 
 def _errors(pair: PlannedPair, row: Row) -> Row:
-    """Errors against the truth; infinite where there is no estimate to compare."""
+    """Errors against the truth; infinite where there is no estimate to compare.
+
+    A homography is judged at its check points where there are some, else at the corners of image 1.
+    """
     if pair.homography:
         if row["H"] is None:
             return {"error": math.inf}
         H = np.array(row["H"]).reshape(3, 3)
-        assert pair.H is not None
-        assert pair.images is not None
-        px = corner_error(H, pair.H, pair.images[0].size_wh)
-        return {"corner_error_px": px, "rmse": homography_rmse(H, pair.H), "error": px}
+        found: Row = {}
+        if pair.H is not None and pair.images is not None:
+            found["corner_error_px"] = corner_error(H, pair.H, pair.images[0].size_wh)
+            found["rmse"] = homography_rmse(H, pair.H)
+        if pair.check_points is not None:
+            found["check_error_px"] = check_point_error(H, pair.check_points)
+        return found | {"error": found.get("check_error_px", found.get("corner_error_px"))}
     assert pair.R is not None
     assert pair.t is not None
     if row["R"] is None:

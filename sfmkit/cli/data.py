@@ -22,8 +22,8 @@ def data() -> None:
 @DATA
 def list_(data: Path | None) -> None:
     """The data sets, their terms, and where they lie on this machine."""
+    from ..datasets.catalog import DATASETS
     from ..datasets.pair import data_root
-    from ..datasets.registry import DATASETS
     from ..errors import InputError
 
     for spec in DATASETS.values():
@@ -40,7 +40,7 @@ def list_(data: Path | None) -> None:
 def fetch(name: str, data: Path | None) -> None:
     """Download the data set NAME, check it and unpack it. Interrupted downloads are gone on
     with."""
-    from ..datasets.registry import dataset_spec
+    from ..datasets.catalog import dataset_spec
 
     spec = dataset_spec(name)
     click.echo(
@@ -80,8 +80,8 @@ def verify(names: tuple[str, ...], data: Path | None) -> None:
     """Check data sets (NAMES, or all that are here) against the pinned checksums. Exit status 2 if
     any is wrong."""
     from ..datasets import pairs
+    from ..datasets.catalog import DATASETS, check_folder, dataset_spec
     from ..datasets.pair import data_root
-    from ..datasets.registry import DATASETS, check_folder, dataset_spec
     from ..errors import InputError
 
     bad = []

@@ -1,42 +1,49 @@
-"""Data sets as iterators of typed pairs: ``for pair in pairs("oxford"): ...``."""
+"""Data sets as iterables of typed pairs: ``for pair in pairs("oxford"): ...``."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from importlib import import_module
+from collections.abc import Iterable
 from typing import Any
 
-from ..errors import InputError
+from .hpatches import hpatches
+from .oxford import oxford
 from .pair import Pair
+from .planes import planes
+from .registry import DATASETS, DatasetReader, register_dataset
+from .source import Source, find_source
+from .strecha import strecha
+from .synthetic_pairs import synthetic
+from .uav import uav
 
-__all__ = ["Pair", "pairs"]
+__all__ = [
+    "DATASETS",
+    "DatasetReader",
+    "Pair",
+    "Source",
+    "find_source",
+    "pairs",
+    "register_dataset",
+]
+
+for _reader in (oxford, hpatches, strecha, uav, synthetic, planes):
+    register_dataset(_reader.__name__, _reader)
 
 
-def pairs(dataset: str, data: str | os.PathLike | None = None, **options: Any) -> Iterator[Pair]:
-    """The pairs of a data set.
+def pairs(
+    data: str | os.PathLike, root: str | os.PathLike | None = None, **options: Any
+) -> Iterable[Pair]:
+    """The pairs of a data set, a pair list, a COLMAP model or a folder of photographs.
 
     Args:
-        dataset: ``oxford``, ``hpatches``, ``strecha``, ``uav``, ``synthetic`` or ``planes``. For
-            ``colmap`` and ``pair`` call :func:`sfmkit.datasets.colmap.colmap` and make a
-            :class:`Pair`: they take files.
-        data: folder that holds the data set; None: the environment variable ``SFMKIT_DATA``, or
-            what was fetched.
-        options: of the iterator, such as ``sequences``.
+        data: See :func:`sfmkit.datasets.find_source`: a name (``oxford``, ``oxford:graf+wall``), an
+            import path (``mypackage.mine:pairs``), or the path of a list or folder.
+        root: The folder that holds the data set; None: the environment variable ``SFMKIT_DATA``,
+            or what was fetched. For a list or a model: the folder of its images.
+        options: Further arguments of the reader, such as ``sequences`` or ``step``.
 
     Raises:
-        InputError: unknown, missing or incomplete data set.
+        InputError: The data set is unknown, missing or incomplete.
     """
-    if dataset == "synthetic":
-        from .synthetic_pairs import synthetic
-
-        return synthetic(**options)
-    if dataset == "planes":
-        from .planes import planes
-
-        return planes(**options)
-    if dataset not in ("oxford", "hpatches", "strecha", "uav"):
-        raise InputError(
-            f"unknown data set '{dataset}'; there are oxford, hpatches, strecha, uav, synthetic and planes"
-        )
-    return getattr(import_module(f".{dataset}", __name__), dataset)(data, **options)
+    source = find_source(data, root)
+    return source.reader(source.root, **({"sequences": source.sequences} | options))

@@ -16,8 +16,8 @@ import requests
 from .._utils.writing import staged_folder
 from ..errors import InputError
 from .archives import unpack
+from .catalog import DatasetSpec, Download, check_folder
 from .pair import VARIABLE, download_folder
-from .registry import DatasetSpec, Download, check_folder
 
 Progress = Callable[[str, int, int | None], None]  # what, bytes so far, bytes in all if known
 

@@ -1,5 +1,6 @@
-"""HPatches' full image sequences: folders ``v_*`` (viewpoint) and ``i_*`` (illumination) of six
-images and five H.
+"""The full image sequences of HPatches, each with six images and five homographies.
+
+Folders ``v_*`` change the viewpoint, folders ``i_*`` the illumination.
 
 Balntas, Lenc, Vedaldi & Mikolajczyk, "HPatches: a benchmark and evaluation of handcrafted and
 learned local descriptors", CVPR 2017.
@@ -14,14 +15,16 @@ from .pair import Pair, choose_sequences, data_root, find_image, read_homography
 
 
 def hpatches(
-    data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
+    root: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
 ) -> Iterator[Pair]:
-    """Pairs 1-2 ... 1-6 of each sequence, with H; arguments and errors as for
-    :func:`~sfmkit.datasets.oxford.oxford`."""
-    root = data_root("hpatches", data)
-    present = sorted(f.name for f in root.iterdir() if f.is_dir() and f.name[:2] in ("v_", "i_"))
-    for sequence in choose_sequences(root, present, sequences):
-        folder = root / sequence
+    """Yield the pairs 1-2 ... 1-6 of each sequence, with H.
+
+    Arguments and errors are those of :func:`~sfmkit.datasets.oxford.oxford`.
+    """
+    home = data_root("hpatches", root)
+    present = sorted(f.name for f in home.iterdir() if f.is_dir() and f.name[:2] in ("v_", "i_"))
+    for sequence in choose_sequences(home, present, sequences):
+        folder = home / sequence
         first = find_image(folder, "1")
         for k in range(2, 7):
             H = read_homography(folder / f"H_1_{k}")

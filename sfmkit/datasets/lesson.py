@@ -75,7 +75,7 @@ def lesson_planes(change: str, count: int = 5, size_wh: tuple[int, int] = (480, 
     try:
         pairs = list(islice(oxford(sequences=[CHANGES[change]]), count))
     except InputError:
-        return list(islice(planes([change], size_wh=size_wh), count))
+        return list(islice(planes(sequences=[change], size_wh=size_wh), count))
     return [
         replace(p, image1=read_image(p.image1).rgb, image2=read_image(p.image2).rgb) for p in pairs
     ]

@@ -1,5 +1,6 @@
-"""The Oxford affine covariant features set: eight planar or rotating scenes under growing changes,
-with homographies.
+"""The Oxford affine covariant features set: eight sequences with homographies.
+
+The scenes are planar or the camera rotates; one change grows along each sequence.
 
 Mikolajczyk et al., "A comparison of affine region detectors", IJCV 2005.
 """
@@ -25,20 +26,20 @@ SEQUENCES = {
 
 
 def oxford(
-    data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
+    root: str | os.PathLike | None = None, sequences: Iterable[str] | None = None
 ) -> Iterator[Pair]:
-    """Pairs 1-2 ... 1-6 of each sequence, with H.
+    """Yield the pairs 1-2 ... 1-6 of each sequence, with H.
 
     Args:
-        data: folder that holds ``oxford/``; None: ``SFMKIT_DATA``, or what was fetched.
-        sequences: names in :data:`SEQUENCES`; None for all that are there.
+        root: The folder that holds ``oxford/``; None: ``SFMKIT_DATA``, or what was fetched.
+        sequences: Names in :data:`SEQUENCES`; None for all that are present.
 
     Raises:
-        InputError: the data set, a sequence, an image or a homography is missing or unreadable.
+        InputError: The data set, a sequence, an image or a homography is missing or unreadable.
     """
-    root = data_root("oxford", data)
-    for sequence in choose_sequences(root, SEQUENCES, sequences):
-        folder = root / sequence
+    home = data_root("oxford", root)
+    for sequence in choose_sequences(home, SEQUENCES, sequences):
+        folder = home / sequence
         first = find_image(folder, "img1")
         for k in range(2, 7):
             H = read_homography(folder / f"H1to{k}p")

@@ -1,23 +1,28 @@
-"""A pair of photographs with what is known about it, and where the data sets lie on this
-machine."""
+"""A pair of photographs with its known geometry, and the folders of the data sets."""
 
 from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import PIL.Image
 
 from ..errors import InputError
+from ..io.images import read_image
 from ..types import Camera
 
 IMAGE_SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 VARIABLE = "SFMKIT_DATA"
+HOMOGRAPHY, TWO_VIEW = KINDS = ("homography", "two-view")
+_ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)  # EXIF: the stored rows are columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +30,19 @@ class Pair:
     """Two photographs of one scene and the truth about them, as far as it is known.
 
     Attributes:
-        dataset, sequence, name: where the pair belongs, e.g. ``oxford``, ``graf``, ``1-2``.
-        image1, image2: paths, or (H, W, 3) or (H, W) uint8 arrays.
-        camera1, camera2: intrinsics; None where the photographs' EXIF, or nothing, has to do.
+        dataset, sequence, name: Where the pair belongs, e.g. ``oxford``, ``graf``, ``1-2``.
+        image1, image2: Paths, or (H, W, 3) or (H, W) uint8 arrays.
+        camera1, camera2: Intrinsics; None where EXIF supplies them or none are needed.
         H: (3, 3) float64, ``x2 = H x1`` in pixels with ``H[2, 2] = 1``, for planes and rotations.
         R, t: (3, 3) and (3,) float64, ``X2 = R X1 + t``, in the data set's units.
+        check_points: (N, 4) float64 annotated correspondences x1, y1, x2, y2 in pixels of the
+            stored images. Where there are some, an estimated homography is judged by them.
+        kind: ``homography`` or ``two-view``: what is to be estimated. None becomes ``homography``
+            where H is given, else ``two-view``.
 
     Raises:
-        InputError: matrices of another shape or with NaN, a rotation that is none, R without t.
+        InputError: Arrays of another shape or with NaN, an R that is not a rotation matrix, R
+            without t, or an unknown kind.
     """
 
     dataset: str
@@ -45,38 +55,53 @@ class Pair:
     H: np.ndarray | None = None
     R: np.ndarray | None = None
     t: np.ndarray | None = None
+    check_points: np.ndarray | None = None
+    kind: str | None = None
 
     def __post_init__(self) -> None:
-        for field, shape in (("H", (3, 3)), ("R", (3, 3)), ("t", (3,))):
+        for field, shape in (("H", (3, 3)), ("R", (3, 3)), ("t", (3,)), ("check_points", (-1, 4))):
             value = getattr(self, field)
-            if value is None:
-                continue
-            value = np.array(value, dtype=np.float64)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(
-                    f"{self}: {field} must hold finite numbers of shape {shape}, not {value.shape}"
-                )
-            value.flags.writeable = False
-            object.__setattr__(self, field, value)
+            if value is not None:
+                object.__setattr__(self, field, self._checked(field, value, shape))
         if (self.R is None) != (self.t is None):
-            raise InputError(f"{self}: R and t come together or not at all")
-        if self.R is not None and not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-3):
-            raise InputError(f"{self}: R is no rotation")
+            raise InputError(f"{self}: R and t must be given together")
+        if self.R is not None and not (
+            np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-3) and np.linalg.det(self.R) > 0
+        ):
+            raise InputError(f"{self}: R is not a rotation matrix")
+        if self.kind is None:
+            object.__setattr__(self, "kind", TWO_VIEW if self.H is None else HOMOGRAPHY)
+        if self.kind not in KINDS:
+            raise InputError(f"{self}: kind must be {' or '.join(KINDS)}, not {self.kind!r}")
+
+    def _checked(self, field: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """A read-only copy of finite numbers of this shape; -1 stands for any length."""
+        array = np.array(value, dtype=np.float64)
+        right = array.ndim == len(shape) and all(
+            n in (-1, m) for n, m in zip(shape, array.shape, strict=True)
+        )
+        if not right or not np.isfinite(array).all():
+            raise InputError(
+                f"{self}: {field} must hold finite numbers of shape {shape}, not {array.shape}"
+            )
+        array.flags.writeable = False
+        return array
 
     def __str__(self) -> str:
         return f"{self.dataset}/{self.sequence} {self.name}"
 
 
 def data_root(dataset: str, data: str | os.PathLike | None = None) -> Path:
-    """The folder of a data set: below `data`, below ``SFMKIT_DATA``, or where ``sfmkit data fetch``
-    puts it.
+    """Find the folder of a data set.
+
+    It is below `data`, below ``SFMKIT_DATA``, or where ``sfmkit data fetch`` stores it.
 
     Args:
-        dataset: its folder's name, e.g. ``oxford``.
-        data: a folder that holds the data sets, or the data set itself.
+        dataset: The name of its folder, e.g. ``oxford``.
+        data: A folder that holds the data sets, or the data set itself.
 
     Raises:
-        InputError: it is in none of them; the message says how to get it.
+        InputError: It is in none of them; the message says how to fetch it.
     """
     if data is not None:
         candidates = [Path(data) / dataset, Path(data)]
@@ -93,14 +118,14 @@ def data_root(dataset: str, data: str | os.PathLike | None = None) -> Path:
         if (folder / dataset).is_dir():
             return folder / dataset
     raise InputError(
-        f"the data set '{dataset}' is not here (looked in {', '.join(str(f) for f in looked)}). "
-        f"`sfmkit data fetch {dataset}` downloads it; off-line, name the folder that holds {dataset}/ with --data or "
-        f"the environment variable {VARIABLE}"
+        f"the data set '{dataset}' was not found (in {', '.join(str(f) for f in looked)}). "
+        f"`sfmkit data fetch {dataset}` downloads it; off-line, name the folder that holds "
+        f"{dataset}/ with --data or the environment variable {VARIABLE}"
     )
 
 
 def download_folder() -> Path:
-    """Where downloads go: ``sfmkit`` in the user's cache folder."""
+    """The folder of downloads: ``sfmkit`` in the user's cache folder."""
     import pooch
 
     return Path(pooch.os_cache("sfmkit"))
@@ -109,17 +134,17 @@ def download_folder() -> Path:
 def choose_sequences(
     root: Path, known: Iterable[str], wanted: Iterable[str] | None
 ) -> tuple[str, ...]:
-    """The sequences to go through: those wanted, or all that are there, in the order of `known`.
+    """The wanted sequences, or all that are present, in the order of `known`.
 
     Raises:
-        InputError: unknown names, sequences that are missing, or none at all.
+        InputError: A name is unknown, a sequence is missing, or there are none.
     """
     known = tuple(known)
     if wanted is None:
         present = tuple(name for name in known if (root / name).is_dir())
         if not present:
             raise InputError(
-                f"{root} holds none of the sequences {', '.join(known) or '(no folders at all)'}"
+                f"{root} holds none of the sequences {', '.join(known) or '(it has no folders)'}"
             )
         return present
     names = tuple(dict.fromkeys(wanted))
@@ -130,16 +155,17 @@ def choose_sequences(
             raise InputError(f"unknown sequence '{name}'.{hint} Known: {', '.join(known)}")
         if not (root / name).is_dir():
             raise InputError(
-                f"the sequence '{name}' is missing from {root}; fetch the data set again, or leave it out"
+                f"the sequence '{name}' is missing from {root}; fetch the data set again, "
+                "or leave it out"
             )
     return names
 
 
 def find_image(folder: Path, stem: str) -> Path:
-    """The image `stem` in `folder`, whatever its format.
+    """The image `stem` in `folder`, in any of the known formats.
 
     Raises:
-        InputError: there is none.
+        InputError: There is none.
     """
     for suffix in IMAGE_SUFFIXES:
         for name in (f"{stem}{suffix}", f"{stem}{suffix.upper()}"):
@@ -150,24 +176,48 @@ def find_image(folder: Path, stem: str) -> Path:
     )
 
 
-def photographs(folder: Path) -> list[Path]:
-    """The images in `folder`, in the order of the numbers in their names."""
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Sort key of a file name in which numbers count by their value: im9 before im10."""
+    return [
+        (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
+    ]
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images in `folder`, in natural order.
+
+    Raises:
+        InputError: There is no such folder.
+    """
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}")
     files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES]
-    return sorted(
-        files,
-        key=lambda file: [
-            (int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", file.name)
-        ],
-    )
+    return sorted(files, key=lambda file: natural_order(file.name))
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image as :func:`sfmkit.io.images.read_image` returns it, upright.
+
+    Reads the header only, where Pillow can.
+
+    Raises:
+        ImageError: The file is not an image.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with PIL.Image.open(path) as picture:
+                turned = picture.getexif().get(_ORIENTATION) in _TURNED
+                return picture.size[::-1] if turned else picture.size
+    except Exception:  # Pillow raises almost anything; reading the image states what is wrong
+        return read_image(path).size_wh
 
 
 def neighbours(files: list[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
     """Each photograph with the next one.
 
     Raises:
-        InputError: fewer than two.
+        InputError: There are fewer than two.
     """
     if len(files) < 2:
         raise InputError(f"{folder} holds {len(files)} photographs; a pair takes two")
@@ -175,10 +225,14 @@ def neighbours(files: list[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def read_homography(path: str | os.PathLike) -> np.ndarray:
-    """(3, 3) float64 homography from a text file of nine numbers, scaled to ``H[2, 2] = 1``.
+    """Read a (3, 3) float64 homography from a text file of nine numbers.
+
+    Returns:
+        The matrix, scaled to ``H[2, 2] = 1``.
 
     Raises:
-        InputError: no such file, not nine finite numbers, or a singular matrix.
+        InputError: There is no such file, it does not hold nine finite numbers, or the matrix is
+            singular.
     """
     path = Path(path)
     try:
@@ -187,19 +241,22 @@ def read_homography(path: str | os.PathLike) -> np.ndarray:
         raise InputError(
             f"there is no homography file {path}; the data set is incomplete"
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as text: {error}") from error
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError as error:
-        raise InputError(f"{path} holds something that is no number: {error}") from None
+        raise InputError(f"{path} holds a word that is not a number: {error}") from None
     if len(numbers) != 9:
         raise InputError(
             f"{path} holds {len(numbers)} numbers; a homography has nine, in three rows"
         )
     H = numbers.reshape(3, 3)
-    if not np.isfinite(H).all() or H[2, 2] == 0 or abs(np.linalg.det(H / H[2, 2])) < 1e-12:
+    with np.errstate(all="ignore"):
+        H = H / H[2, 2]
+        singular = not np.isfinite(H).all() or not abs(np.linalg.det(H)) >= 1e-12
+    if singular:
         raise InputError(
-            f"{path} is no homography: it is singular, not finite, or has 0 in its last place"
+            f"{path} does not hold a homography: it is singular, not finite, or its last number is 0"
         )
-    return H / H[2, 2]
+    return H

@@ -1,14 +1,14 @@
-"""Painted planes under growing changes, with exact homographies: a rendered stand-in for the Oxford
-sequences.
+"""Rendered planes with exact homographies, in the manner of the Oxford sequences.
 
 Every sequence has a first image and five more that differ from it by one change that grows: zoom
 and rotation, blur, viewpoint, light or JPEG compression (Mikolajczyk et al., "A comparison of
-affine region detectors", IJCV 2005). The plane is a formula, so it is evaluated where the pixels
-look and no image is ever warped.
+affine region detectors", IJCV 2005). The texture of the plane is a function of its coordinates and
+is evaluated at every pixel, so no image is warped.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,6 +16,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from ..errors import InputError
+from .generated import generated
 from .pair import Pair
 from .rendering import materials as m
 from .rendering.raycasting import in_parallel
@@ -27,19 +28,19 @@ Array = np.ndarray
 FOCAL = 1.1  # over the image's width
 DISTANCE = 4.4  # metres from the plane
 LIGHT = unit(np.array([-0.5, -0.6, 0.75]))  # towards the sun; u, v and out of the plane
-ROWS = 32  # of pixels worked on at a time
+ROWS = 32  # of pixels that are rendered at a time
 
 
 @dataclass(frozen=True)
 class View:
-    """How one image of a plane is taken.
+    """The camera settings of one image of a plane.
 
     Attributes:
-        zoom: size of things in the image, relative to the first.
-        roll, yaw, pitch: degrees about the line of sight, and about the plane's upright and level
-            axes.
-        shift: metres on the plane by which the centre of the picture moves.
-        blur, exposure, jpeg_quality: as in :func:`sfmkit.datasets.synthetic.render`.
+        zoom: Scale of the image relative to the first one.
+        roll, yaw, pitch: Degrees about the optical axis, and about the vertical and horizontal axes
+            of the plane.
+        shift: Translation of the image centre on the plane in metres.
+        blur, exposure, jpeg_quality: See :func:`sfmkit.datasets.synthetic.render`.
     """
 
     zoom: float = 1.0
@@ -52,8 +53,10 @@ class View:
     jpeg_quality: int | None = None
 
     def pixels_from_plane(self, size_wh: tuple[int, int]) -> Array:
-        """(3, 3) homography from (u, v) in metres on the plane to pixels: ``K [r1 r2 t]`` (Hartley
-        and Zisserman 8.1)."""
+        """(3, 3) homography from (u, v) in metres on the plane to pixels.
+
+        ``K [r1 r2 t]`` (Hartley and Zisserman, section 8.1).
+        """
         w, h = size_wh
         f = FOCAL * w
         K = np.array([[f, 0, (w - 1) / 2], [0, f, (h - 1) / 2], [0, 0, 1]])
@@ -89,7 +92,7 @@ _GATE = m.with_decals(
     ("graffiti", 1, (-1.9, -0.2, -0.2, 1.3)),
 )
 
-#: name -> what is painted on the plane, and views 2 to 6; view 1 is ``View()``.
+#: name -> texture of the plane, and views 2 to 6; view 1 is ``View()``.
 SEQUENCES: dict[str, tuple[Material, tuple[View, ...]]] = {
     "zoom_rotation": (
         _WALL,
@@ -122,7 +125,7 @@ SEQUENCES: dict[str, tuple[Material, tuple[View, ...]]] = {
 
 
 def homography(first: View, other: View, size_wh: tuple[int, int]) -> Array:
-    """(3, 3) ``x2 = H x1`` between the pixels of two views of one plane, with ``H[2, 2] = 1``."""
+    """(3, 3) ``x2 = H x1`` between pixels of two views of the plane, with ``H[2, 2] = 1``."""
     H = other.pixels_from_plane(size_wh) @ np.linalg.inv(first.pixels_from_plane(size_wh))
     return H / H[2, 2]
 
@@ -135,8 +138,11 @@ def photograph_plane(
     noise: float = 1.0,
     seed: int = 0,
 ) -> Array:
-    """(H, W, 3) uint8 image of a plane of `material`, 2 x 2 rays a pixel; InputError for a size
-    that is none."""
+    """Render a plane of `material` as an (H, W, 3) uint8 image, with 2 x 2 rays per pixel.
+
+    Raises:
+        InputError: The size is not valid.
+    """
     w, h = check_size(size_wh)
     G = np.linalg.inv(view.pixels_from_plane(size_wh))
     area = abs(np.linalg.det(G))
@@ -149,7 +155,7 @@ def photograph_plane(
             (np.arange(w)[:, None] + quarter).ravel(), (rows[:, None] + quarter).ravel()
         )
         u, v, q = (G[i, 0] * x.ravel() + G[i, 1] * y.ravel() + G[i, 2] for i in range(3))
-        # the area on the plane of a pixel's area is the Jacobian det G / q^3
+        # the Jacobian det G / q^3 takes the area of a pixel to the plane
         footprint = 0.5 * np.sqrt(area / np.abs(q) ** 3)
         albedo, slope = material(u / q, v / q, footprint)
         if slope is not None:
@@ -162,23 +168,26 @@ def photograph_plane(
     return photograph(2.2 * film, view.blur, noise, view.exposure, view.jpeg_quality, rng)
 
 
+@generated(SEQUENCES)
 def planes(
+    root: str | os.PathLike | None = None,
     sequences: Iterable[str] | None = None,
     *,
     size_wh: tuple[int, int] = (800, 640),
     noise: float = 1.0,
     seed: int = 0,
 ) -> Iterator[Pair]:
-    """Pairs 1-2 ... 1-6 of each sequence, rendered as they are asked for, with the exact H.
+    """Yield the pairs 1-2 ... 1-6 of each sequence, rendered on demand, with the exact H.
 
     Args:
-        sequences: names in :data:`SEQUENCES`; None for all.
-        size_wh: of the images, pixels.
-        noise: standard deviation of the sensor's noise, grey levels.
-        seed: of the noise.
+        root: Ignored: nothing is read from the disk.
+        sequences: Names in :data:`SEQUENCES`; None for all.
+        size_wh: Width and height of the images in pixels.
+        noise: Standard deviation of the sensor noise in grey levels.
+        seed: Seed of the noise.
 
     Raises:
-        InputError: unknown sequence, or a size that is none.
+        InputError: A sequence is unknown, or the size is not valid.
     """
     for name in tuple(SEQUENCES) if sequences is None else tuple(sequences):
         if name not in SEQUENCES:

@@ -1,5 +1,6 @@
-"""The EPFL multi-view set (fountain-P11, Herz-Jesu-P8, ...): undistorted photographs with cameras
-from laser scans.
+"""The EPFL multi-view set: fountain-P11, Herz-Jesu-P8 and others, with cameras from laser scans.
+
+The photographs are undistorted.
 
 Strecha, von Hansen, Van Gool, Fua & Thoennessen, "On benchmarking camera calibration and multi-view
 stereo for high resolution imagery", CVPR 2008.
@@ -11,32 +12,35 @@ import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from PIL import Image
-
 from ..errors import InputError
 from ..io.cameras import parse_intrinsics, read_truth
 from ..types import Camera
-from .pair import Pair, choose_sequences, data_root, neighbours, photographs
+from .pair import Pair, choose_sequences, data_root, image_files, image_size, neighbours
 
 
 def strecha(
-    data: str | os.PathLike | None = None, sequences: Iterable[str] | None = None, step: int = 1
+    root: str | os.PathLike | None = None, sequences: Iterable[str] | None = None, step: int = 1
 ) -> Iterator[Pair]:
-    """Each photograph with the one `step` further on, with cameras and pose.
+    """Yield each photograph with the one `step` later, with cameras and pose.
 
     A sequence is a folder with ``images/`` and ``gt_dense_cameras/<image>.camera``.
 
+    Args:
+        root: See :func:`sfmkit.datasets.pair.data_root`.
+        sequences: Names of folders; None for all.
+        step: Difference of the positions of a pair's photographs in the sequence.
+
     Raises:
-        InputError: the data set, a sequence or a camera is missing or unreadable, or `step` is not
+        InputError: The data set, a sequence or a camera is missing or unreadable, or `step` is not
             positive.
     """
     if step < 1:
         raise InputError(f"step must be a whole number of at least 1, not {step}")
-    root = data_root("strecha", data)
-    present = sorted(f.name for f in root.iterdir() if (f / "images").is_dir())
-    for sequence in choose_sequences(root, present, sequences):
-        folder = root / sequence
-        files = photographs(folder / "images")
+    home = data_root("strecha", root)
+    present = sorted(f.name for f in home.iterdir() if (f / "images").is_dir())
+    for sequence in choose_sequences(home, present, sequences):
+        folder = home / sequence
+        files = image_files(folder / "images")
         for k in range(step):
             for a, b in neighbours(files[k::step], folder / "images"):
                 one, two = (_truth_of(folder, image) for image in (a, b))
@@ -62,5 +66,4 @@ def _truth_of(folder: Path, image: Path) -> Path:
 
 
 def _camera(file: Path, image: Path) -> Camera:
-    with Image.open(image) as picture:  # reads the header only
-        return parse_intrinsics(file, picture.size)
+    return parse_intrinsics(file, image_size(image))

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from .generated import generated
 from .pair import Pair
 from .synthetic import SCENES, render
 
 
-def synthetic(sequences: Iterable[str] | None = None, **settings: Any) -> Iterator[Pair]:
-    """A rendered pair for each scene, with cameras and pose.
+@generated(SCENES)
+def synthetic(
+    root: str | os.PathLike | None = None,
+    sequences: Iterable[str] | None = None,
+    **settings: Any,
+) -> Iterator[Pair]:
+    """Yield a rendered pair for each scene, with cameras and pose.
 
     Args:
-        sequences: names of scenes; None for all.
-        settings: of :func:`sfmkit.datasets.synthetic.render`.
+        root: Ignored: nothing is read from the disk.
+        sequences: Names of scenes; None for all.
+        settings: Arguments of :func:`sfmkit.datasets.synthetic.render`.
 
     Raises:
-        InputError: unknown scene or setting.
+        InputError: A scene or setting is unknown.
     """
     for name in SCENES if sequences is None else tuple(sequences):
         p = render(name, **settings)

@@ -15,11 +15,11 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-import sfmkit.datasets.registry as registry
+import sfmkit.datasets.catalog as catalog
 from sfmkit.cli.data import data as data_commands
 from sfmkit.datasets.archives import unpack
+from sfmkit.datasets.catalog import DatasetSpec, Download, check_folder, fingerprint
 from sfmkit.datasets.fetch import fetch
-from sfmkit.datasets.registry import DatasetSpec, Download, check_folder, fingerprint
 from sfmkit.errors import InputError
 
 LIMITS = {"max_files": 10, "max_bytes": 100_000}
@@ -103,7 +103,7 @@ def spec(server, tmp_path, monkeypatch):
             "a/H1to2p": fingerprint(tmp_path / "H1to2p"),
         }
     }
-    monkeypatch.setattr(registry, "_checksums", lambda: pins)
+    monkeypatch.setattr(catalog, "_checksums", lambda: pins)
     server.files["a.tar.gz"] = tar_of(
         {"a/img1.ppm": picture(), "a/H1to2p": b"1 0 0 \r\n 0 1 0 \r\n 0 0 1 \r\n"}
     )
@@ -179,7 +179,7 @@ def test_no_network_says_what_to_do(spec, tmp_path):
 def test_single_files(server, tmp_path, monkeypatch):
     server.files["x.jpg"] = picture(format="JPEG")
     pin = "bytes:" + hashlib.sha256(server.files["x.jpg"]).hexdigest()
-    monkeypatch.setattr(registry, "_checksums", lambda: {"toy": {"f/x.jpg": pin}})
+    monkeypatch.setattr(catalog, "_checksums", lambda: {"toy": {"f/x.jpg": pin}})
     spec = DatasetSpec(
         "toy", "", "", "", "", 1, (Download((f"{server.url}/x.jpg",), "f/x.jpg", archive=False),)
     )
@@ -253,7 +253,7 @@ def test_a_refused_archive_leaves_nothing(spec, server, tmp_path):
 
 
 def test_commands(spec, tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "DATASETS", {"toy": spec})
+    monkeypatch.setattr(catalog, "DATASETS", {"toy": spec})
     runner = CliRunner()
     where = ["--data", str(tmp_path / "data")]
     done = runner.invoke(data_commands, ["fetch", "toy", *where])
@@ -273,6 +273,6 @@ def test_commands(spec, tmp_path, monkeypatch):
 
 @pytest.mark.data
 def test_shared_copies_are_as_pinned(data_dir):
-    spec = registry.DATASETS["oxford"]
+    spec = catalog.DATASETS["oxford"]
     assert len(spec.pins) == 8 * 11
     assert check_folder(spec, data_dir / "oxford/graf", "graf") == []

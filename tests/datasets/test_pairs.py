@@ -8,7 +8,7 @@ from PIL import Image
 
 from sfmkit.datasets import Pair, pairs
 from sfmkit.datasets.colmap import colmap
-from sfmkit.datasets.pair import data_root, photographs, read_homography
+from sfmkit.datasets.pair import data_root, image_files, read_homography
 from sfmkit.errors import InputError
 
 EYE = "1 0 0\n0 1 0\n0 0 1\n"
@@ -72,9 +72,9 @@ def test_incomplete_sequences_are_named(tmp_path):
     "text, message",
     [
         ("1 0 0 0 1 0 0 0", "holds 8 numbers"),
-        ("1 0 0 0 1 0 0 0 x", "no number"),
-        ("1 0 0 0 1 0 0 0 nan", "no homography"),
-        ("1 0 0 0 1 0 0 0 0", "no homography"),
+        ("1 0 0 0 1 0 0 0 x", "not a number"),
+        ("1 0 0 0 1 0 0 0 nan", "not hold a homography"),
+        ("1 0 0 0 1 0 0 0 0", "not hold a homography"),
         ("1 2 3 2 4 6 0 0 1", "singular"),
         ("", "holds 0 numbers"),
     ],
@@ -107,7 +107,7 @@ def test_uav_photographs_follow_their_numbers(tmp_path):
     for k in (9, 10, 8):
         Image.new("RGB", (8, 6)).save(folder / f"DJI_{k}.JPG", "JPEG")
     assert [p.name for p in pairs("uav", tmp_path)] == ["DJI_8-DJI_9", "DJI_9-DJI_10"]
-    assert [f.name for f in photographs(folder)] == ["DJI_8.JPG", "DJI_9.JPG", "DJI_10.JPG"]
+    assert [f.name for f in image_files(folder)] == ["DJI_8.JPG", "DJI_9.JPG", "DJI_10.JPG"]
     (folder / "DJI_9.JPG").unlink()
     (folder / "DJI_10.JPG").unlink()
     with pytest.raises(InputError, match="holds 1 photographs"):
@@ -124,7 +124,7 @@ def test_colmap_model_moves_half_a_pixel_and_chains_poses(tmp_path):
     (tmp_path / "images.txt").write_text(
         f"# a comment\n7 {s} 0 0 {s} 1 2 3 2 b.png\n1 2 -1\n8 1 0 0 0 1 0 0 1 a.png\n\n"
     )
-    (pair,) = colmap(tmp_path, tmp_path)
+    (pair,) = colmap(tmp_path, images=tmp_path)
     assert pair.name == "a-b"
     np.testing.assert_array_equal(pair.camera1.K, [[90, 0, 49.5], [0, 91, 39.5], [0, 0, 1]])
     np.testing.assert_array_equal(pair.camera1.distortion, [0.1, 0.2, 0.3, 0.4, 0])
@@ -134,16 +134,18 @@ def test_colmap_model_moves_half_a_pixel_and_chains_poses(tmp_path):
     np.testing.assert_allclose(
         pair.t, [1, 1, 3], atol=1e-15
     )  # X2 = Rz X + (1, 2, 3) with X = X1 - (1, 0, 0)
-    (tmp_path / "cameras.txt").write_text("1 FOV 100 80 90 91 50 40 .1\n")
+    (tmp_path / "cameras.txt").write_text(
+        "1 OPENCV 100 80 90 91 50 40 .1 .2 .3 .4\n2 FOV 100 80 90 91 50 40 .1\n"
+    )
     with pytest.raises(InputError, match="FOV"):
-        list(colmap(tmp_path, tmp_path))
+        list(colmap(tmp_path, images=tmp_path))
 
 
 def test_pairs_check_their_truth():
     image = np.zeros((4, 4), np.uint8)
     with pytest.raises(InputError, match="H must"):
         Pair("a", "b", "c", image, image, H=np.eye(2))
-    with pytest.raises(InputError, match="no rotation"):
+    with pytest.raises(InputError, match="not a rotation"):
         Pair("a", "b", "c", image, image, R=2 * np.eye(3), t=np.zeros(3))
     with pytest.raises(InputError, match="together"):
         Pair("a", "b", "c", image, image, R=np.eye(3))

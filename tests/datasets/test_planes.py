@@ -95,26 +95,26 @@ def test_the_change_grows(name):
 
 
 def test_jpeg_sequence_does_not_move():
-    for pair in planes(["jpeg"], size_wh=(48, 32)):
+    for pair in planes(sequences=["jpeg"], size_wh=(48, 32)):
         np.testing.assert_allclose(pair.H, np.eye(3), atol=1e-12)
 
 
 def test_same_seed_same_bits():
-    a, b, c = (next(planes(["light"], size_wh=(48, 32), seed=s)) for s in (4, 4, 5))
+    a, b, c = (next(planes(sequences=["light"], size_wh=(48, 32), seed=s)) for s in (4, 4, 5))
     np.testing.assert_array_equal(a.image2, b.image2)
     assert (a.image2 != c.image2).any()
 
 
 def test_pairs_come_one_by_one_and_are_named():
-    names = [f"{p}" for p in islice(planes(["blur"], size_wh=(32, 32)), 2)]
+    names = [f"{p}" for p in islice(planes(sequences=["blur"], size_wh=(32, 32)), 2)]
     assert names == ["planes/blur 1-2", "planes/blur 1-3"]
 
 
 def test_an_unknown_sequence_suggests_the_nearest_name():
     with pytest.raises(InputError, match="'viewpoint'"):
-        next(planes(["viewpoints"]))
+        next(planes(sequences=["viewpoints"]))
 
 
 def test_a_size_that_is_none_is_refused():
     with pytest.raises(InputError, match="size_wh"):
-        next(planes(["blur"], size_wh=(8, 100)))
+        next(planes(sequences=["blur"], size_wh=(8, 100)))

@@ -1,0 +1,113 @@
+"""Pair lists of the SuperGlue and LightGlue evaluations (``*_pairs_with_gt.txt``).
+
+A line holds 38 words: the two image names, the rotations of both images in quarter turns, K of both
+images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2 (Sarlin, DeTone, Malisiewicz
+& Rabinovich, "SuperGlue", CVPR 2020, evaluation code). K and the matrix are for the images as they
+are stored; the turns are applied to image, K and pose alike.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..io.images import read_image
+from ..types import Camera
+from .pair import Pair, image_size
+from .pair_list import find_listed_image, reject_sequences
+
+WORDS = 38
+
+
+def pairs_with_gt(
+    root: str | os.PathLike,
+    sequences: Iterable[str] | None = None,
+    *,
+    images: str | os.PathLike | None = None,
+) -> Iterator[Pair]:
+    """The pairs of a ``*_pairs_with_gt.txt`` list, with cameras and pose.
+
+    Args:
+        root: The list.
+        sequences: Must be None: the format has no sequences.
+        images: The folder of the images; None: the folder of the list.
+
+    Raises:
+        InputError: The list cannot be read; a line has another number of words, a word that is not
+            a number, matrices that are not a camera or a rotation, or an image that is missing. The
+            message names the line.
+    """
+    file = Path(root)
+    reject_sequences(file, sequences)
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file} cannot be read as text: {error}") from None
+    folder = file.parent if images is None else Path(images)
+    count = 0
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            count += 1
+            yield _pair(line.split(), f"{file.name}, line {number}", file.stem, folder, str(number))
+    if not count:
+        raise InputError(f"{file} lists no pairs")
+
+
+def _pair(words: list[str], where: str, dataset: str, folder: Path, name: str) -> Pair:
+    if len(words) != WORDS:
+        raise InputError(
+            f"{where}: {len(words)} words; a line has {WORDS}: two image names, two rotations, "
+            "K of both images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2"
+        )
+    paths = [find_listed_image(folder, word, where) for word in words[:2]]
+    try:
+        turns = [int(word) % 4 for word in words[2:4]]
+        numbers = np.array([float(word) for word in words[4:]])
+        K1, K2, T = np.split(numbers, (9, 18))
+        K = [K1.reshape(3, 3), K2.reshape(3, 3)]
+        T = T.reshape(4, 4)
+        if not np.allclose(T[3], (0, 0, 0, 1)):
+            raise InputError(f"the last row of the 4 x 4 matrix is {T[3].tolist()}, not 0 0 0 1")
+        stored = [Camera(k, image_size(path)) for k, path in zip(K, paths)]
+        Z1, Z2 = (_quarter_turns(n) for n in turns)
+        R = Z2 @ T[:3, :3] @ Z1.T  # X2' = Z2 (R Z1^T X1' + t)
+        return Pair(
+            dataset,
+            dataset,
+            name,
+            _turned_image(paths[0], turns[0]),
+            _turned_image(paths[1], turns[1]),
+            _turned_camera(stored[0], turns[0]),
+            _turned_camera(stored[1], turns[1]),
+            R=R,
+            t=Z2 @ T[:3, 3],
+        )
+    except (InputError, ValueError) as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _turned_image(path: Path, turns: int) -> Path | np.ndarray:
+    """The image after counter-clockwise quarter turns."""
+    return np.ascontiguousarray(np.rot90(read_image(path).rgb, turns)) if turns else path
+
+
+def _turned_camera(camera: Camera, turns: int) -> Camera:
+    """The camera of the image after counter-clockwise quarter turns.
+
+    One turn takes the pixel (x, y) of an image of width w to (y, w - 1 - x).
+    """
+    for _ in range(turns):
+        (fx, _, cx), (_, fy, cy), _ = camera.K
+        w, h = camera.size_wh
+        camera = Camera(np.array([[fy, 0, cy], [0, fx, w - 1 - cx], [0, 0, 1]]), (h, w))
+    return camera
+
+
+def _quarter_turns(turns: int) -> np.ndarray:
+    """(3, 3) rotation of the camera frame that belongs to counter-clockwise quarter turns."""
+    quarter = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # (X, Y) -> (Y, -X)
+    return np.linalg.matrix_power(quarter, turns)
