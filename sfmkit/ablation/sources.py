@@ -78,7 +78,12 @@ class PlannedPair:
             ],
             "cameras": self.cameras
             and [
-                {"K": matrix(c.K), "distortion": matrix(c.distortion), "source": c.source}
+                {
+                    "K": matrix(c.K),
+                    "distortion": matrix(c.distortion),
+                    "model": c.model,
+                    "source": c.source,
+                }
                 for c in self.cameras
             ],
             "H": matrix(self.H),

@@ -166,7 +166,8 @@ def estimate_key(
             e.refine,
         ]
         settings += [
-            [np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist()] for c in cameras or ()
+            [np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist(), c.model]
+            for c in cameras or ()
         ]
     used = [[name, matches[name].key] for name in sorted(combination)]
     return digest("estimate", stage_version("estimates"), homography, settings, used, seed)

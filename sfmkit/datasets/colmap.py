@@ -23,9 +23,13 @@ _MODELS = {
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"),
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_DISTORTION = {
+    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +159,9 @@ def _camera(number: int, words: list[str], model: Path) -> Camera:
         p = dict(zip(names, (float(word) for word in words[4:]), strict=True))
         fx, fy = (p.get("f", p.get(f)) for f in ("fx", "fy"))
         K = np.array([[fx, 0, p["cx"] - 0.5], [0, fy, p["cy"] - 0.5], [0, 0, 1]], dtype=np.float64)
-        distortion = np.trim_zeros(np.array([p.get(name, 0.0) for name in _DISTORTION]), "b")
-        return Camera(K, size, distortion if distortion.size else np.zeros(1))
+        lens = "fisheye" if words[1] == "OPENCV_FISHEYE" else "opencv"
+        distortion = np.array([p.get(name, 0.0) for name in _DISTORTION[lens]])
+        return Camera(K, size, distortion, model=lens)  # type: ignore[arg-type]
     except (InputError, ValueError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from None
 

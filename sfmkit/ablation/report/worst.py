@@ -164,7 +164,13 @@ def run_again(case: Case, row: Row, progress: Callable[[str, str], None] | None 
             same = _same(((result.H, row["H"]),))
         else:
             cameras = [
-                Camera(np.array(c["K"]), image.size_wh, np.array(c["distortion"]), c["source"])
+                Camera(
+                    np.array(c["K"]),
+                    image.size_wh,
+                    np.array(c["distortion"]),
+                    c["source"],
+                    c["model"],
+                )
                 for c, image in zip(case.pair["cameras"], images)
             ]
             truth = tuple(np.array(case.pair[name]) for name in ("R", "t"))
