@@ -1,1 +1,3 @@
-"""Widgets and embedded viewers for JupyterLab."""
+"""Widgets and embedded viewers for JupyterLab; they need the extra ``notebook``."""
+
+__all__ = ["embedded", "widgets"]

@@ -1,42 +1,51 @@
-"""The Rerun viewer inside a notebook, without a network."""
+"""Recordings inside a notebook, without a network."""
 
 from __future__ import annotations
 
-import os
-from contextlib import redirect_stdout
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import anywidget
-import numpy as np
 from IPython.display import display
 
 from ..pipeline.reconstruction import Reconstruction
+from ..recording import (
+    Layout,
+    make_blueprint,
+    merge_recordings,
+    recording_ids,
+    write_stream,
+)
+from ..recording.embedded import ExplorerViewer, RecordingViewer
 
-# Read when rerun_notebook is imported: the viewer's page comes from this machine instead of the
-# web.
-os.environ.setdefault("RERUN_NOTEBOOK_ASSET", "serve-local")
-
-import rerun as rr
-
-with redirect_stdout(
-    None
-):  # it says that it serves the page, which is no result of a notebook's cell
-    from rerun import notebook
-
-from ..recording.blueprint import explorer_blueprint
-from ..recording.log import log_reconstruction
-
-_RAY = "world/explored"
+FOLDER = Path("out")  # where a notebook writes its recording
+STORY = "story.rrd"  # the recordings of all lessons in one
+STORY_PAGES = (
+    "Keypoints",
+    "Matches",
+    "Epipolar geometry",
+    "Motion",
+    "Triangulation",
+    "Cloud",
+    "Refinement",
+)
 
 
 class _KeptFocus(anywidget.AnyWidget):
-    """Keeps the keyboard where it is when the viewer has loaded and takes it: else Ctrl+S saves the
-    wrong thing."""
+    """Keeps the keyboard focus when the viewer has loaded and takes it.
+
+    Without this, Ctrl+S after running a cell goes to the viewer instead of the notebook.
+    """
 
     _esm = """
     let meant = 0, last = null;
-    document.addEventListener("pointerdown", (e) => { if (e.target.tagName === "CANVAS") meant = performance.now(); }, true);
-    document.addEventListener("keydown", (e) => { if (e.key === "Tab") meant = performance.now(); }, true);
+    document.addEventListener("pointerdown", (e) => {
+      if (e.target.tagName === "CANVAS") meant = performance.now();
+    }, true);
+    document.addEventListener("keydown", (e) => {
+      if (e.key === "Tab") meant = performance.now();
+    }, true);
     document.addEventListener("focusin", (e) => {
       if (e.target.tagName !== "CANVAS" || performance.now() - meant < 500) last = e.target;
       else if (last !== null && last.isConnected) last.focus({ preventScroll: true });
@@ -47,41 +56,64 @@ class _KeptFocus(anywidget.AnyWidget):
     """
 
 
-class RecordingViewer(notebook.Viewer):
-    """The viewer of a reconstruction, into which a ray can be drawn; ``.on_event`` tells what is
-    selected in it."""
-
-    def __init__(self, result: Reconstruction, *, width: Any, height: Any):
-        self._rec = rr.RecordingStream("sfmkit", send_properties=False)
-        super().__init__(
-            width=width, height=height, recording=self._rec, blueprint=explorer_blueprint(result)
-        )
-        log_reconstruction(self._rec, result)
-
-    def show_ray(self, ray: np.ndarray, point: np.ndarray | None) -> None:
-        """Draw the ray between two points (2, 3) and, if there is one, a point on it (3,), in place
-        of the last."""
-        self._rec.log(
-            f"{_RAY}/ray",
-            rr.LineStrips3D([ray], colors=(0, 0, 0), radii=rr.Radius.ui_points(1.2)),
-            static=True,
-        )
-        points = np.zeros((0, 3)) if point is None else point[None]
-        dot = rr.Points3D(points, colors=(0, 0, 0), radii=rr.Radius.ui_points(5))
-        self._rec.log(f"{_RAY}/point", dot, static=True)
-        self._rec.flush()
+class _KeepsFocus:
+    """Leaves the keyboard focus with the notebook when the viewer is displayed."""
 
     def _ipython_display_(self) -> None:
         display(_KeptFocus())
-        super()._ipython_display_()
+        super()._ipython_display_()  # type: ignore[misc]
+
+
+class NotebookViewer(_KeepsFocus, RecordingViewer):
+    """A recording in a notebook."""
+
+
+class NotebookExplorer(_KeepsFocus, ExplorerViewer):
+    """A reconstruction in a notebook, into which rays can be drawn."""
 
 
 def recording_viewer(
     result: Reconstruction, *, width: Any = "auto", height: Any = 560
-) -> RecordingViewer:
-    """A widget that shows the whole reconstruction.
+) -> NotebookExplorer:
+    """Make a widget that shows a whole reconstruction.
 
     Args:
         width, height: of the viewer, in pixels of the page; a width of ``"auto"`` is the cell's.
     """
-    return RecordingViewer(result, width=width, height=height)
+    return NotebookExplorer(result, width=width, height=height)
+
+
+def show_recording(
+    rec: Any,
+    name: str,
+    pages: Sequence[str],
+    layout: Layout | None = None,
+    *,
+    height: Any = 560,
+) -> NotebookViewer:
+    """Write what was logged to ``out/NAME.rrd`` and show it; name the command that opens it.
+
+    The recordings of all notebooks whose streams have the same name are also merged to
+    ``out/story.rrd``, so that the lessons add up to one recording.
+
+    Args:
+        rec: stream of :func:`sfmkit.recording.new_stream`.
+        name: of the file.
+        pages: pages of the viewer, the first one open (:data:`sfmkit.recording.PAGES`).
+        layout: what is known of the recording.
+        height: of the viewer, pixels of the page.
+
+    Raises:
+        InputError: an unknown page.
+        OutputError: the file cannot be written.
+    """
+    blueprint = make_blueprint(pages, layout, selection="collapsed")
+    FOLDER.mkdir(exist_ok=True)
+    path = write_stream(rec, FOLDER / f"{name}.rrd", blueprint)
+    print(f"sfmkit view {path}")
+    parts = [p for p in sorted(FOLDER.glob("*.rrd")) if p.name != STORY]
+    parts = [p for p in parts if recording_ids(p) == {rec.get_recording_id()}]
+    if len(parts) > 1:
+        merge_recordings(FOLDER / STORY, parts, make_blueprint(STORY_PAGES, layout))
+        print(f"sfmkit view {FOLDER / STORY}  # this and {len(parts) - 1} other notebooks in one")
+    return NotebookViewer.of_file(path, height=height)

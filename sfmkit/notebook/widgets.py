@@ -25,7 +25,7 @@ from ..viz.colours import operator_colour
 from ..viz.from_above import scene_from_above
 
 if TYPE_CHECKING:
-    from .embedded import RecordingViewer
+    from .embedded import NotebookExplorer
 
 __all__ = [
     "Candidate",
@@ -203,7 +203,7 @@ class EpipolarWidget(ipywidgets.VBox):
         self.words.value = f'<div style="line-height: 1.4">{lines}</div>'
         return self.view
 
-    def follow(self, viewer: RecordingViewer) -> RecordingViewer:
+    def follow(self, viewer: NotebookExplorer) -> NotebookExplorer:
         """Also answer keypoints of image 1 that are selected in an embedded Rerun viewer, and draw
         the ray there.
 

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.distortion import distort, undistort
 from ..geometry.fundamental import epipolar_lines
+from ..geometry.lines import clip_lines
 from ..types import Camera
 from .reconstruction import Reconstruction
 
@@ -205,15 +206,14 @@ class EpipolarExplorer:
     def _curve(self, line: Tensor) -> np.ndarray:
         camera = self.result.two_view.camera2
         w, h = camera.size_wh
-        ends = clip_line(
-            line.numpy(), w, h, margin=0.25 * max(w, h) if camera.has_distortion else 0.0
-        )
-        if ends is None or not camera.has_distortion:
-            return np.zeros((0, 2)) if ends is None else ends
+        margin = 0.25 * max(w, h) if camera.has_distortion else 0.0
+        (ends,), (crosses,) = clip_lines(line[None], (w, h), margin)
+        if not crosses or not camera.has_distortion:
+            return ends.numpy() if crosses else np.zeros((0, 2))
         K, d = camera.tensors()
         assert d is not None
         share = torch.linspace(0, 1, _STEPS, dtype=torch.float64)[:, None]
-        straight = (1 - share) * torch.from_numpy(ends[0]) + share * torch.from_numpy(ends[1])
+        straight = (1 - share) * ends[0] + share * ends[1]
         bent = denormalize(distort(normalize(straight, K), d), K).numpy()
         return bent[((bent >= -0.5) & (bent <= (w - 0.5, h - 0.5))).all(1)]
 
@@ -222,23 +222,3 @@ def _ideal(x: Tensor, camera: Camera) -> Tensor:
     """(N, 2) pixels of a photograph as an ideal pinhole would have seen them."""
     K, d = camera.tensors()
     return x if d is None else denormalize(undistort(normalize(x, K), d), K)
-
-
-def clip_line(line: np.ndarray, w: int, h: int, margin: float = 0.0) -> np.ndarray | None:
-    """(2, 2) where the line (a, b, c) enters and leaves an image of w x h pixels, None if it passes
-    by."""
-    a, b, c = line
-    size = a * a + b * b
-    if size == 0:
-        return None
-    foot, along = -c * np.array([a, b]) / size, np.array([b, -a]) / np.sqrt(size)
-    low, high = np.array([-0.5, -0.5]) - margin, np.array([w - 0.5, h - 0.5]) + margin
-    start, stop = -np.inf, np.inf
-    for k in range(2):
-        if along[k] == 0:
-            if not low[k] <= foot[k] <= high[k]:
-                return None
-            continue
-        near, far = sorted(((low[k] - foot[k]) / along[k], (high[k] - foot[k]) / along[k]))
-        start, stop = max(start, near), min(stop, far)
-    return None if start >= stop else np.stack([foot + start * along, foot + stop * along])

@@ -1,12 +1,10 @@
-"""Recordings for the Rerun viewer: what is logged, where and when. The schema is described in
-docs/recording.md.
+"""Log whole reconstructions. docs/recording.md describes the schema.
 
-Every ``log_*`` function takes a stream, results of the library and a prefix for the entity paths,
-sets the timeline ``stage`` itself and leaves all other timelines of the stream alone, so that
-results can be logged under a time of the caller's choosing (see :func:`log_run`).
+Every ``log_*`` function takes an explicit stream and a prefix for the entity paths. It sets the
+timeline ``stage`` and no other, so results can be logged at any time of the caller's own timelines.
 
-All pixels are those of ideal pinholes: where a camera has distortion, the photographs and keypoints
-are undistorted (same K), so that epipolar lines are straight and the cloud projects onto the
+All pixels are those of ideal pinholes: where a camera has distortion, photographs and keypoints are
+undistorted with the same K, so that epipolar lines are straight and the cloud projects onto the
 photographs.
 """
 
@@ -15,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -22,46 +21,25 @@ from matplotlib import colormaps
 
 from .._utils.writing import atomic_write
 from ..errors import OutputError
+from ..geometry.fundamental import fundamental_from_essential
+from ..geometry.reprojection import project
 from ..pipeline.account import ALL, OperatorAccount
 from ..pipeline.reconstruction import Reconstruction, name_of
 from ..pipeline.report import make_report
+from ..types import PointCloud, TwoView, Verdict
 from ..viz.colours import operator_rgb
 from . import marks, text
-from .blueprint import default_blueprint
-from .log_geometry import (
-    log_cloud,
-    log_history,
-    log_match,
-    log_pose,
-    log_two_view,
-    log_uncertainty,
-)
-from .log_photos import log_features, log_fusion, log_images, log_matches
-from .stream import STAGES, put
-from .trace import trace, trace_keypoints
+from .blueprint import QUANTITIES, default_blueprint
+from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty, operator_colours
+from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
+from .log_photos import log_keypoints, log_matches, log_photographs, side_by_side
+from .log_steps import log_ransac
+from .stream import MAGENTA, columns, new_stream, put
+from .trace import Trace, matches_to_rows, trace, trace_keypoints
 
-__all__ = [
-    "SCHEMA",
-    "STAGES",
-    "log_account",
-    "log_cloud",
-    "log_features",
-    "log_fusion",
-    "log_history",
-    "log_images",
-    "log_legend",
-    "log_match",
-    "log_matches",
-    "log_pose",
-    "log_reconstruction",
-    "log_run",
-    "log_timings",
-    "log_two_view",
-    "log_uncertainty",
-    "save_recording",
-]
-
-SCHEMA = 1  # of the recording; docs/recording.md says what each number means
+SCHEMA = 2  # of the recording; docs/recording.md says what each number means
+MAX_SURVIVORS = 2500  # dots of an image at one stage; more hide the photograph
+MAX_CURRENT = 150  # lines of the matches at one stage
 
 
 def save_recording(
@@ -73,7 +51,7 @@ def save_recording(
     """Write a whole reconstruction, with the layout of its views, to one .rrd file.
 
     Args:
-        path: appears whole or not at all; a file that is there is replaced.
+        path: appears whole or not at all; an existing file is replaced.
         originals: keep the photographs as they are (the file's own JPEG, or PNG) instead of at JPEG
             quality 80.
 
@@ -81,9 +59,7 @@ def save_recording(
         OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary:
-        rec = rr.RecordingStream("sfmkit", recording_id=Path(path).stem, send_properties=False)
-        rec.set_log_time_enabled(False)
-        rec.set_log_tick_enabled(False)
+        rec = new_stream(Path(path).stem)
         try:
             rec.save(temporary, default_blueprint=default_blueprint(result))
             rec.send_recording_name(
@@ -104,49 +80,56 @@ def log_reconstruction(
     *,
     originals: bool = False,
 ) -> None:
-    """Everything of a reconstruction, stage by stage."""
+    """Log everything of a reconstruction, stage by stage.
+
+    Args:
+        originals: as in :func:`save_recording`.
+    """
     view, corr, cloud = result.two_view, result.correspondences, result.cloud
     cameras = (view.camera1, view.camera2)
-    kind = result.options.estimate.model
     traced = trace(corr, view, cloud, result.options.estimate.threshold_px)
     depth = float(cloud.xyz[:, 2].median()) if cloud is not None and len(cloud) else 4.0
+    frustum = 0.15 * depth
     for stage, words in text.story(result).items():
-        put(rec, prefix, "story", rr.TextDocument(words, media_type="text/markdown"), stage=stage)
+        put(rec, prefix, "story", _markdown(words), stage=stage)
     log_legend(rec, corr.operators, prefix)
-    log_images(rec, result.images, cameras, prefix, originals=originals, frustum=0.15 * depth)
-    became = trace_keypoints(result.features, result.matches, corr, traced)
-    log_features(rec, result.features, cameras, prefix, became=became)
-    log_matches(rec, result.features, result.matches, cameras, prefix)
-    log_fusion(rec, result.features, result.matches, corr, cameras, prefix)
-    log_history(rec, view.history, corr, cameras, prefix, kind=kind)
-    log_two_view(rec, corr, view, traced, prefix)
-    log_pose(rec, corr, view, prefix, frustum=0.15 * depth)
+    _log_notes(rec, result, prefix)
+    log_photographs(
+        rec, *result.images, cameras, originals=originals, frustum=frustum, prefix=prefix
+    )
+    _log_features(rec, result, traced, prefix)
+    _log_fusion(rec, result, prefix)
+    x1, x2 = (marks.ideal_pixels(x, c) for x, c in zip((corr.x1, corr.x2), cameras))
+    if view.history:
+        K1, K2 = cameras[0].tensors()[0], cameras[1].tensors()[0]
+        fundamental = result.options.estimate.model == "fundamental"
+        log_ransac(
+            rec,
+            [
+                h.model if fundamental else fundamental_from_essential(h.model, K1, K2)
+                for h in view.history
+            ],
+            [h.inliers for h in view.history],
+            x1,
+            x2,
+            sizes_wh=(cameras[0].size_wh, cameras[1].size_wh),
+            scores=[h.score for h in view.history],
+            steps=[h.stage for h in view.history],
+            samples=[h.iteration for h in view.history],
+            prefix=prefix,
+        )
+    _log_two_view(rec, result, traced, frustum, prefix)
     if cloud is not None and len(cloud):
-        log_cloud(rec, cloud, corr, view, prefix)
-        log_uncertainty(rec, cloud, corr, prefix)
-        log_match(rec, int(cloud.match[marks.telling_point(cloud)]), corr, view, cloud, prefix)
+        _log_points(rec, result, prefix)
+        if cloud.covariance is not None:
+            log_uncertainty(rec, cloud, details=_pixel_columns(result), prefix=prefix)
+        _log_example(rec, result, marks.example_point(cloud), prefix)
     log_account(rec, result.account, prefix)
     log_timings(rec, result.timings_s, prefix)
-    put(
-        rec,
-        prefix,
-        "summary",
-        rr.TextDocument(text.report_markdown(result), media_type="text/markdown"),
-    )
-    put(
-        rec,
-        prefix,
-        "verdict",
-        rr.TextDocument(text.verdict_markdown(view), media_type="text/markdown"),
-        stage="estimate",
-    )
-    report = {"schema": SCHEMA, **make_report(result)}
-    put(
-        rec,
-        prefix,
-        "report",
-        rr.TextDocument(json.dumps(report, indent=1), media_type="text/plain"),
-    )
+    put(rec, prefix, "summary", _markdown(text.report_markdown(result)))
+    put(rec, prefix, "verdict", _markdown(text.verdict_markdown(view)), stage="estimate")
+    report = json.dumps({"schema": SCHEMA, **make_report(result)}, indent=1)
+    put(rec, prefix, "report", rr.TextDocument(report, media_type="text/plain"))
 
 
 def log_run(
@@ -157,61 +140,336 @@ def log_run(
     *,
     images: bool = True,
 ) -> None:
-    """One of many reconstructions of the same pair, at `run` on the timeline ``run``: what an
-    ablation compares.
+    """Log one of several reconstructions of the same pair, at `run` on the timeline ``run``.
 
     Args:
-        images: log the photographs too; do so for the first run of a pair only, they are the same
-            for all.
+        images: log the photographs too; once per pair is enough.
     """
     rec.set_time("run", sequence=run)
     view, corr, cloud = result.two_view, result.correspondences, result.cloud
     traced = trace(corr, view, cloud, result.options.estimate.threshold_px)
     if images:
-        log_images(rec, result.images, (view.camera1, view.camera2), prefix)
+        log_photographs(rec, *result.images, (view.camera1, view.camera2), prefix=prefix)
     log_legend(rec, corr.operators, prefix)
     put(rec, prefix, "world", rr.Clear(recursive=True), stage="estimate")
     put(rec, prefix, "matches", rr.Clear(recursive=True), stage="estimate")
-    log_two_view(rec, corr, view, traced, prefix)
-    log_pose(rec, corr, view, prefix)
+    _log_two_view(rec, result, traced, 0.5, prefix)
     if cloud is not None and len(cloud):
-        log_cloud(rec, cloud, corr, view, prefix)
+        _log_points(rec, result, prefix)
     words = f"# run {run}: {', '.join(corr.operators)}\n\n{text.report_markdown(result)}"
-    put(rec, prefix, "summary", rr.TextDocument(words, media_type="text/markdown"), stage="refine")
+    put(rec, prefix, "summary", _markdown(words), stage="refine")
     rec.disable_timeline("run")
 
 
 def log_legend(rec: rr.RecordingStream, operators: Sequence[str], prefix: str = "") -> None:
-    """Name and colour of every operator; class id k is ``operators[k]``."""
+    """Log the legend: the name of every operator in its colour, and other marks.
+
+    Class id k of an annotation context stands for ``operators[k]``.
+    """
     infos = [rr.AnnotationInfo(k, name, operator_rgb(name)) for k, name in enumerate(operators)]
     put(rec, prefix, "", rr.AnnotationContext(infos))
+    names = [*operators, "outlier", "other geometry"]
+    colours = [*map(operator_rgb, operators), (128, 128, 128), MAGENTA]
+    # One row of labels, each as wide as its text, in units of a character.
+    widths = np.array([len(name) + 5.0 for name in names])
+    x = np.cumsum(widths) - widths / 2
+    swatches = rr.Boxes2D(
+        centers=np.column_stack([x, np.zeros(len(x))]),
+        half_sizes=np.column_stack([widths / 2 - 0.5, np.full(len(x), 1.0)]),
+        colors=colours,
+        labels=names,
+        show_labels=True,
+        radii=rr.Radius.ui_points(1.5),
+    )
+    put(rec, prefix, "legend", swatches)
 
 
 def log_account(
     rec: rr.RecordingStream, account: Mapping[str, OperatorAccount], prefix: str = ""
 ) -> None:
-    """The account as a table and as bars: for each operator keypoints of image 1, matches, fused,
-    inliers, points."""
-    document = rr.TextDocument(text.account_markdown(account), media_type="text/markdown")
-    put(rec, prefix, "account/table", document)
-    names = [name for name in account if name != ALL]
-    for k, name in enumerate(names):
+    """Log the per-operator statistics as a table, and as one chart of bars per quantity.
+
+    The quantities are keypoints of image 1, matches, fused, inliers and points.
+    """
+    put(rec, prefix, "account/table", _markdown(text.account_markdown(account)))
+    for k, name in enumerate(name for name in account if name != ALL):
         a = account[name]
-        bars = np.array([a.keypoints[0], a.matches, a.initial, a.inliers, a.points])
-        places = np.arange(len(bars)) * (len(names) + 1) + k
-        chart = rr.BarChart(
-            bars, abscissa=places, widths=np.ones(len(bars)), color=operator_rgb(name)
-        )
-        put(rec, prefix, ["account/chart", name], chart)
+        counts = (a.keypoints[0], a.matches, a.initial, a.inliers, a.points)
+        for quantity, count in zip(QUANTITIES, counts):
+            bar = rr.BarChart(np.array([count]), abscissa=np.array([k]), color=operator_rgb(name))
+            put(rec, prefix, ["account/chart", quantity, name], bar)
 
 
 def log_timings(rec: rr.RecordingStream, timings_s: Mapping[str, float], prefix: str = "") -> None:
-    """Seconds per stage, a bar each."""
+    """Log the seconds of each stage, one bar per stage."""
     for k, (stage, seconds) in enumerate(s for s in timings_s.items() if s[0] != "total"):
         colour = tuple(int(255 * c) for c in colormaps["cividis"](k / 7)[:3])
-        put(
+        chart = rr.BarChart(np.array([seconds]), abscissa=np.array([k]), color=colour)
+        put(rec, prefix, ["timings", stage], chart)
+
+
+def log_fusion(
+    rec: rr.RecordingStream,
+    features: Mapping[str, Any],
+    matches: Mapping[str, Any],
+    corr: Any,
+    *,
+    cameras: Any = None,
+    prefix: str = "",
+) -> None:
+    """Log the matches that fusion merged into another one, by operator.
+
+    Args:
+        features: operator -> features of both images.
+        matches: operator -> matches before fusion.
+        corr: fused correspondences.
+        cameras: their distortion is removed from the pixels.
+    """
+    kept_by = np.array(corr.operators, dtype=str)[corr.operator_id.numpy()]
+    for name, (rows, merged) in matches_to_rows(features, matches, corr).items():
+        if merged.any():
+            (f1, f2), m, into = features[name], matches[name], rows[merged]
+            log_matches(
+                rec,
+                f1.keypoints[m.index1[merged]],
+                f2.keypoints[m.index2[merged]],
+                width1=f1.size_wh[0],
+                operator=name,
+                kind="merged",
+                cameras=cameras,
+                details={"match": into, "merged_into": kept_by[into]},
+                prefix=prefix,
+            )
+
+
+def _log_features(
+    rec: rr.RecordingStream, result: Reconstruction, traced: Trace, prefix: str
+) -> None:
+    """Keypoints and matches of every operator, and what is left of them."""
+    view = result.two_view
+    cameras = (view.camera1, view.camera2)
+    became = trace_keypoints(result.features, result.matches, result.correspondences, traced)
+    for number, camera in enumerate(cameras, start=1):
+        left = []
+        for name, pair in result.features.items():
+            f, b = pair[number - 1], became[name][number - 1]
+            if len(f):
+                own = {"fate": b.fate, "match": b.match, "point": b.point}
+                log_keypoints(
+                    rec, number, f, operator=name, camera=camera, details=own, prefix=prefix
+                )
+                left.append((name, marks.ideal_pixels(f.keypoints, camera)))
+        _log_survivors(rec, number, left, "detect", prefix)
+    left1, left2 = [], []
+    for name, m in result.matches.items():
+        if len(m):
+            f1, f2 = result.features[name]
+            log_matches(rec, f1, f2, m, operator=name, cameras=cameras, prefix=prefix)
+            left1.append((name, marks.ideal_pixels(f1.keypoints[m.index1], cameras[0])))
+            left2.append((name, marks.ideal_pixels(f2.keypoints[m.index2], cameras[1])))
+    _log_survivors(rec, 1, left1, "match", prefix)
+    _log_survivors(rec, 2, left2, "match", prefix)
+    if left1:
+        names = np.array([name for name, x in left1 for _ in x], dtype=str)
+        x1, x2 = (np.concatenate([x for _, x in left]) for left in (left1, left2))
+        _log_current(rec, result, (x1, x2), names, "match", prefix)
+
+
+def _log_fusion(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> None:
+    corr, view = result.correspondences, result.two_view
+    cameras = (view.camera1, view.camera2)
+    log_fusion(rec, result.features, result.matches, corr, cameras=cameras, prefix=prefix)
+    places = tuple(marks.ideal_pixels(x, c) for x, c in zip((corr.x1, corr.x2), cameras))
+    for number, x in enumerate(places, start=1):
+        _log_survivors(rec, number, _by_operator(result, x), "fuse", prefix)
+    kept_by = np.array(corr.operators, dtype=str)[corr.operator_id.numpy()]
+    _log_current(rec, result, places, kept_by, "fuse", prefix)
+    inliers = view.inliers.numpy()
+    agreeing = (places[0][inliers], places[1][inliers])
+    _log_current(rec, result, agreeing, kept_by[inliers], "estimate", prefix)
+
+
+def _log_two_view(
+    rec: rr.RecordingStream, result: Reconstruction, traced: Trace, frustum: float, prefix: str
+) -> None:
+    """Inliers and outliers by operator, and the geometry they agree on."""
+    corr, view = result.correspondences, result.two_view
+    cameras = (view.camera1, view.camera2)
+    sizes = (cameras[0].size_wh, cameras[1].size_wh)
+    x1, x2 = (marks.ideal_pixels(x, c) for x, c in zip((corr.x1, corr.x2), cameras))
+    inliers, operator_id = view.inliers.numpy(), corr.operator_id.numpy()
+    for kind, chosen in (("inliers", inliers), ("outliers", ~inliers)):
+        for k, name in enumerate(corr.operators):
+            rows = np.flatnonzero(chosen & (operator_id == k))
+            if len(rows):
+                log_matches(
+                    rec,
+                    x1[rows],
+                    x2[rows],
+                    width1=sizes[0][0],
+                    operator=name,
+                    kind=kind,
+                    details=_match_columns(result, traced, rows),
+                    prefix=prefix,
+                )
+    for number, x in ((1, x1), (2, x2)):
+        _log_survivors(rec, number, _by_operator(result, x, inliers), "estimate", prefix)
+    if view.F is not None and inliers.any():
+        rows = np.flatnonzero(inliers)
+        rows = rows[marks.spread(x1[rows], 12)]
+        kept_by = np.array(corr.operators, dtype=str)[operator_id]
+        log_epipolar_lines(
             rec,
-            prefix,
-            ["timings", stage],
-            rr.BarChart(np.array([seconds]), abscissa=np.array([k]), color=colour),
+            view.F,
+            x1,
+            x2,
+            sizes_wh=sizes,
+            rows=rows,
+            details={"operators": kept_by},
+            prefix=prefix,
         )
+    if view.H is not None and view.verdict in (Verdict.PLANAR, Verdict.PURE_ROTATION):
+        log_homography(rec, view.H, sizes_wh=sizes, prefix=prefix)
+    if view.R is not None and view.t is not None and view.E is not None:
+        log_motion(
+            rec,
+            view.E,
+            x1[inliers],
+            x2[inliers],
+            cameras,
+            pose=(view.R, view.t),
+            frustum=frustum,
+            prefix=prefix,
+        )
+    elif view.R is not None:
+        log_pose(rec, view.R, view.t, prefix=prefix)
+
+
+def _log_points(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> None:
+    """The cloud, and the residuals in both images."""
+    corr, view, cloud = result.correspondences, result.two_view, result.cloud
+    assert cloud is not None
+    own = _pixel_columns(result)
+    log_cloud(rec, cloud, details=own, prefix=prefix)
+    colours = operator_colours(_kept_by(cloud))
+    for number, (camera, x, pose) in enumerate(
+        ((view.camera1, corr.x1, (None, None)), (view.camera2, corr.x2, (view.R, view.t))), start=1
+    ):
+        seen = marks.ideal_pixels(x[cloud.match], camera)
+        projected = project(cloud.xyz, camera.tensors()[0], *pose).numpy()
+        log_residuals(rec, number, seen, projected, colours=colours, prefix=prefix)
+        _log_survivors(rec, number, [], "triangulate", prefix)  # the projected cloud is shown
+
+
+def _log_example(rec: rr.RecordingStream, result: Reconstruction, point: int, prefix: str) -> None:
+    """The rays and the pixels of one point."""
+    corr, view, cloud = result.correspondences, result.two_view, result.cloud
+    assert cloud is not None
+    row = int(cloud.match[point])
+    log_rays(
+        rec,
+        cloud.xyz[point : point + 1],
+        _centre2(view),
+        x1=marks.ideal_pixels(corr.x1[row][None], view.camera1),
+        x2=marks.ideal_pixels(corr.x2[row][None], view.camera2),
+        names=[f"point {point:,}"],
+        details={"point": [point], "match": [row]},
+        operators=[_kept_by(cloud)[point]],
+        prefix=prefix,
+    )
+
+
+def _log_survivors(
+    rec: rr.RecordingStream,
+    number: int,
+    left: Sequence[tuple[str, np.ndarray]],
+    stage: str,
+    prefix: str,
+) -> None:
+    """What is left at a stage in one image, an even sample; the next stage replaces it."""
+    total = sum(len(x) for _, x in left)
+    share = min(1.0, MAX_SURVIVORS / max(total, 1))
+    shown = [(name, x[marks.spread(x, int(np.ceil(share * len(x))))]) for name, x in left]
+    x = np.concatenate([x for _, x in shown]) if shown else np.zeros((0, 2))
+    colours = operator_colours([name for name, x in shown for _ in x])
+    dots = rr.Points2D(x, colors=colours, radii=rr.Radius.ui_points(1.5))
+    put(rec, prefix, f"world/cam{number}/image/survivors", dots, columns(of=[total]), stage=stage)
+
+
+def _log_current(
+    rec: rr.RecordingStream,
+    result: Reconstruction,
+    x: tuple[np.ndarray, np.ndarray],
+    names: np.ndarray,
+    stage: str,
+    prefix: str,
+) -> None:
+    """A sample of the matches at a stage, side by side; the next stage replaces it."""
+    some = marks.spread(x[0], MAX_CURRENT)
+    width1 = result.two_view.camera1.size_wh[0]
+    lines = side_by_side(x[0][some], x[1][some], width1, operator_colours(names[some]))
+    put(rec, prefix, "matches/current", lines, stage=stage)
+
+
+def _log_notes(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> None:
+    """Words in the views that are empty at the first stages."""
+    (w, h), size = result.two_view.camera1.size_wh, rr.Radius.ui_points(1)
+    for at, note, until in (
+        ("matches/current/note", "no matches before stage 2", "match"),
+        ("world/note", "no pose before stage 5, no points before stage 6", "pose"),
+    ):
+        kind, place = (rr.Points3D, [0, 0, 1]) if at == "world/note" else (rr.Points2D, [w, h / 2])
+        mark = kind([place], radii=size, labels=note, show_labels=True)
+        put(rec, prefix, at, mark, stage="read")
+        put(rec, prefix, at, kind(np.zeros((0, len(place)))), stage=until)
+
+
+def _by_operator(
+    result: Reconstruction, x: np.ndarray, chosen: np.ndarray | None = None
+) -> list[tuple[str, np.ndarray]]:
+    corr = result.correspondences
+    operator_id = corr.operator_id.numpy()
+    keep = np.ones(len(x), dtype=bool) if chosen is None else chosen
+    return [(name, x[keep & (operator_id == k)]) for k, name in enumerate(corr.operators)]
+
+
+def _match_columns(result: Reconstruction, traced: Trace, rows: np.ndarray) -> dict[str, Any]:
+    corr = result.correspondences
+    return {
+        "match": rows,
+        "operators": traced.operators[rows],
+        "fate": traced.fate[rows],
+        "distance_px": traced.distance_px[rows],
+        "point": traced.point[rows],
+        "x1": corr.x1.numpy()[rows],
+        "x2": corr.x2.numpy()[rows],
+        "descriptor_distance": corr.distance.numpy()[rows],
+        "descriptor_ratio": corr.ratio.numpy()[rows],
+    }
+
+
+def _pixel_columns(result: Reconstruction) -> dict[str, Any]:
+    """Pixels and keypoints behind every point of the cloud."""
+    corr, cloud = result.correspondences, result.cloud
+    assert cloud is not None
+    rows = cloud.match
+    return {
+        "x1": corr.x1[rows].numpy(),
+        "x2": corr.x2[rows].numpy(),
+        "keypoint1": corr.index1[rows].numpy(),
+        "keypoint2": corr.index2[rows].numpy(),
+    }
+
+
+def _kept_by(cloud: PointCloud) -> list[str]:
+    return [cloud.operators[k] for k in cloud.operator_id.tolist()]
+
+
+def _centre2(view: TwoView) -> np.ndarray:
+    if view.R is None or view.t is None:
+        return np.zeros(3)
+    return -(view.R.T @ view.t).numpy()
+
+
+def _markdown(words: str) -> rr.TextDocument:
+    return rr.TextDocument(words, media_type="text/markdown")

@@ -1,422 +1,224 @@
-"""What the geometry is: epipolar lines, poses, the cloud, and how sure it is."""
+"""Log the two-view geometry: epipolar lines, homographies, cameras and the four poses."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
+import torch
 from matplotlib import colormaps
 
 from ..geometry.coordinates import normalize
 from ..geometry.essential import decompose_essential
-from ..geometry.fundamental import epipolar_lines, epipoles, fundamental_from_essential
+from ..geometry.fundamental import epipolar_lines, epipoles
+from ..geometry.lines import clip_lines
 from ..geometry.pose import cheirality
-from ..geometry.reprojection import project
-from ..types import Correspondences, Improvement, PointCloud, TwoView, Verdict
+from ..types import Camera
 from . import marks
 from .stream import (
+    GREEN,
     GREY,
     MAGENTA,
     Cameras,
+    Details,
+    Size,
     columns,
-    dot_radius,
-    log_survivors,
     pinhole,
+    points_2d,
     put,
-    ramp,
-    side_by_side,
     strokes,
 )
-from .trace import Trace, joined_names
 
-RESIDUAL_GAIN = 50  # residuals are drawn this many times longer than they are
-SIGMAS = 3  # of the drawn ellipsoids
+_FAR = 1e-12  # third coordinate of a unit vector below which an epipole is at infinity
+_SAME_POSE = 1e-3  # largest difference of entries of R and t between a pose and its rounded copy
 
 
-def log_history(
+def log_epipolar_lines(
     rec: rr.RecordingStream,
-    history: Sequence[Improvement],
-    corr: Correspondences,
-    cameras: Cameras,
-    prefix: str = "",
+    F: Any,
+    x1: Any,
+    x2: Any = None,
     *,
-    kind: str = "essential",
+    sizes_wh: tuple[Size, Size],
+    rows: Any = None,
+    details: Details | None = None,
     sample: int = 12,
+    prefix: str = "",
 ) -> None:
-    """How the robust estimate improved, on the timeline ``iteration``: counts, and lines swinging
-    into place.
+    """Log epipolar lines of a sample of points, the points, and both epipoles.
 
-    The timeline counts improvements: several may have come of the same number of samples, which are
-    logged beside them.
+    A point and its line have the same colour; the same number means the same match.
 
     Args:
-        history: :attr:`sfmkit.types.TwoView.history`.
-        kind: what its models are: ``essential`` (normalised coordinates) or ``fundamental``
-            (pixels).
-        sample: number of matches whose lines are drawn.
+        F: (3, 3), ``x2^T F x1 = 0``, pixels.
+        x1, x2: (N, 2) pixels without distortion; without x2 only image 2 gets lines.
+        sizes_wh: sizes of the two images, pixels.
+        rows: rows to draw; default an even sample of `sample` points.
+        details: columns of the points, (N,) each.
+
+    Raises:
+        InputError: arrays of another shape.
     """
-    if not history:
-        return
-    (K1, _), (K2, _) = cameras[0].tensors(), cameras[1].tensors()
-    rows = marks.spread(corr.x1.numpy(), sample)
-    for quantity, name in (("inliers", "inliers"), ("score", "mean score a match")):
-        put(
-            rec,
-            prefix,
-            f"estimation/{quantity}",
-            rr.SeriesLines(names=name, interpolation_mode="StepAfter"),
-        )
-    for number, step in enumerate(history):
-        rec.set_time("iteration", sequence=number)
-        F = step.model if kind == "fundamental" else fundamental_from_essential(step.model, K1, K2)
-        put(
-            rec,
-            prefix,
-            "estimation/inliers",
-            rr.Scalars(step.inliers),
-            columns(step=[step.stage], samples=[step.iteration]),
-            stage="estimate",
-        )
-        put(rec, prefix, "estimation/score", rr.Scalars(step.score), stage="estimate")
-        _log_epipolar(rec, corr, cameras, F, rows, prefix)
-    rec.disable_timeline("iteration")
-    counts = np.array([step.inliers for step in history])
-    put(rec, prefix, "estimation/improvements", rr.BarChart(counts, color=GREY))
-
-
-def log_two_view(
-    rec: rr.RecordingStream,
-    corr: Correspondences,
-    view: TwoView,
-    traced: Trace,
-    prefix: str = "",
-    *,
-    sample: int = 12,
-    max_lines: int = 80,
-) -> None:
-    """Inliers and outliers by operator, epipolar lines and epipoles; where a homography is the
-    model, its outline.
-
-    Args:
-        traced: what became of every correspondence (:func:`sfmkit.recording.trace.trace`).
-        sample: number of inliers whose epipolar lines are drawn.
-        max_lines: lines drawn side by side an operator, for inliers and for outliers.
-    """
-    cameras = (view.camera1, view.camera2)
-    x = tuple(marks.ideal_pixels(p, c) for p, c in zip((corr.x1, corr.x2), cameras))
-    inliers, operator_id = view.inliers.numpy(), corr.operator_id.numpy()
-    for what, chosen in (("inliers", inliers), ("outliers", ~inliers)):
-        colour = {} if what == "inliers" else {"colors": GREY}
-        for k, name in enumerate(corr.operators):
-            rows = np.flatnonzero(chosen & (operator_id == k))
-            if not len(rows):
-                continue
-            for number in (1, 2):
-                dots = rr.Points2D(
-                    x[number - 1][rows], class_ids=k, radii=rr.Radius.ui_points(1), **colour
-                )
-                at = [f"world/cam{number}/image", what, name]
-                put(rec, prefix, at, dots, _match_columns(corr, traced, rows), stage="estimate")
-            some = rows[marks.spread(x[0][rows], max_lines)]
-            lines = side_by_side(x[0][some], x[1][some], cameras, class_ids=k)
-            put(
-                rec,
-                prefix,
-                ["matches", what, name],
-                lines,
-                _match_columns(corr, traced, some),
-                stage="estimate",
+    F = torch.as_tensor(np.asarray(F), dtype=torch.float64)
+    a = points_2d("x1", x1)
+    b = None if x2 is None else points_2d("x2", x2, len(a))
+    rows = marks.spread(a, sample) if rows is None else np.asarray(rows)
+    colours = (colormaps["turbo"](np.linspace(0.05, 0.95, len(rows)))[:, :3] * 255).astype(np.uint8)
+    own = {key: np.asarray(value)[rows] for key, value in (details or {}).items()}
+    for number, (mine, other, A) in enumerate(((a, b, F.mT), (b, a, F)), start=1):
+        at = f"world/cam{number}/image/epipolar"
+        if other is not None:
+            lines = epipolar_lines(A, torch.as_tensor(other[rows]))
+            segments, crosses = (a.numpy() for a in clip_lines(lines, sizes_wh[number - 1]))
+            drawn = strokes(segments[crosses], colors=colours[crosses], width=1.5)
+            put(rec, prefix, f"{at}/lines", drawn, columns(match=rows[crosses]), stage="estimate")
+        if mine is not None:
+            dots = rr.Points2D(
+                mine[rows],
+                colors=colours,
+                radii=rr.Radius.ui_points(4),
+                show_labels=True,
+                labels=[str(n + 1) for n in range(len(rows))],
             )
-    for number in (1, 2):
-        log_survivors(
-            rec, prefix, number, [(x[number - 1][inliers], operator_id[inliers])], "estimate"
-        )
-    if view.F is not None and inliers.any():
-        rows = np.flatnonzero(inliers)
-        _log_epipolar(rec, corr, cameras, view.F, rows[marks.spread(x[0][rows], sample)], prefix)
-        for number, e in enumerate(epipoles(view.F), start=1):
-            if abs(float(e[2])) > 1e-12:
-                dot = rr.Points2D(
-                    (e[:2] / e[2]).numpy()[None],
-                    colors=MAGENTA,
-                    radii=rr.Radius.ui_points(6),
-                    labels=f"epipole: camera {3 - number}",
-                    show_labels=True,
-                )
-                put(rec, prefix, f"world/cam{number}/image/epipole", dot, stage="estimate")
-    if view.H is not None and view.verdict in (Verdict.PLANAR, Verdict.PURE_ROTATION):
-        H = view.H.numpy()
-        for number, (A, camera) in enumerate(
-            ((np.linalg.inv(H), view.camera2), (H, view.camera1)), start=1
-        ):
-            outline = marks.warped_outline(A, camera.size_wh)
-            if outline is not None:
-                strip = rr.LineStrips2D(
-                    [outline],
-                    colors=MAGENTA,
-                    radii=rr.Radius.ui_points(1.5),
-                    labels=f"image {3 - number}, warped",
-                    show_labels=True,
-                )
-                put(rec, prefix, f"world/cam{number}/image/homography", strip, stage="estimate")
+            put(rec, prefix, f"{at}/points", dots, columns(match=rows, **own), stage="estimate")
+    for number, e in enumerate(epipoles(F), start=1):
+        if abs(float(e[2])) > _FAR:
+            dot = rr.Points2D(
+                (e[:2] / e[2]).numpy()[None],
+                colors=MAGENTA,
+                radii=rr.Radius.ui_points(6),
+                labels=f"epipole: camera {3 - number}",
+                show_labels=True,
+            )
+            put(rec, prefix, f"world/cam{number}/image/epipole", dot, stage="estimate")
 
 
-def log_pose(
+def log_homography(
     rec: rr.RecordingStream,
-    corr: Correspondences,
-    view: TwoView,
-    prefix: str = "",
+    H: Any,
     *,
-    frustum: float = 0.5,
+    sizes_wh: tuple[Size, Size],
+    prefix: str = "",
 ) -> None:
-    """Where camera 2 stands, and the four poses that E allows with the number of points in front of
-    both cameras."""
-    if view.R is None:
-        return
-    place = {"relation": rr.TransformRelation.ChildFromParent}
-    t = np.zeros(3) if view.t is None else view.t.numpy()
-    put(
-        rec,
-        prefix,
-        "world/cam2",
-        rr.Transform3D(mat3x3=view.R.numpy(), translation=t, **place),
-        stage="pose",
-    )
-    if view.t is None or view.E is None:
-        return
-    centre = -view.R.numpy().T @ t
-    put(
-        rec,
-        prefix,
-        "world/baseline",
-        rr.Arrows3D(
+    """Log the outline of each image in the other one, warped by a homography.
+
+    Args:
+        H: (3, 3), pixels of image 1 to pixels of image 2.
+        sizes_wh: sizes of the two images, pixels.
+    """
+    H = np.asarray(H, dtype=np.float64)
+    for number, A in ((1, np.linalg.inv(H)), (2, H)):
+        outline = marks.warped_outline(A, sizes_wh[2 - number])
+        if outline is not None:
+            strip = rr.LineStrips2D(
+                [outline],
+                colors=MAGENTA,
+                radii=rr.Radius.ui_points(1.5),
+                labels=f"image {3 - number}, warped",
+                show_labels=True,
+            )
+            put(rec, prefix, f"world/cam{number}/image/homography", strip, stage="estimate")
+
+
+def log_pose(rec: rr.RecordingStream, R: Any, t: Any = None, *, prefix: str = "") -> None:
+    """Log the pose of camera 2 and the baseline.
+
+    Args:
+        R, t: ``X2 = R X1 + t``; without t the camera only rotated and there is no baseline.
+    """
+    R = np.asarray(R, dtype=np.float64)
+    put(rec, prefix, "world/cam2", _place(R, np.zeros(3) if t is None else t), stage="pose")
+    if t is not None:
+        arrow = rr.Arrows3D(
             origins=[[0, 0, 0]],
-            vectors=[centre],
+            vectors=[-R.T @ np.asarray(t)],
             colors=MAGENTA,
             radii=rr.Radius.ui_points(1),
             labels="baseline: length 1",
             show_labels=False,
-        ),
-        stage="pose",
-    )
-    (K1, _), (K2, _) = view.camera1.tensors(), view.camera2.tensors()
-    rows = view.inliers
-    x1, x2 = (
-        marks.ideal_pixels(p, c) for p, c in zip((corr.x1, corr.x2), (view.camera1, view.camera2))
-    )
-    xn1, xn2 = (
-        normalize(rows.new_tensor(p, dtype=K1.dtype)[rows], K) for p, K in ((x1, K1), (x2, K2))
-    )
-    total = int(rows.sum())
-    for number, (R, s) in enumerate(zip(*decompose_essential(view.E)), start=1):
-        chosen = float((R - view.R).abs().max()) + float((s - view.t).abs().max()) < 1e-3
-        in_front = int(cheirality(xn1, xn2, R, s).sum())
-        colour = (0, 158, 115) if chosen else GREY
-        at = f"world/poses/{number}"
-        put(
-            rec,
-            prefix,
-            at,
-            rr.Transform3D(mat3x3=R.numpy(), translation=s.numpy(), **place),
-            stage="pose",
         )
-        put(
-            rec, prefix, f"{at}/frustum", pinhole(view.camera2, frustum, color=colour), stage="pose"
-        )
-        label = f"pose {number}: {in_front:,} of {total:,} in front" + (
-            " (chosen)" if chosen else ""
-        )
-        dot = rr.Points3D(
-            [[0, 0, frustum]],
-            colors=colour,
-            radii=rr.Radius.ui_points(5),
-            labels=label,
-            show_labels=True,
-        )
-        put(
-            rec,
-            prefix,
-            f"{at}/count",
-            dot,
-            columns(in_front=[in_front], chosen=[chosen]),
-            stage="pose",
-        )
+        put(rec, prefix, "world/baseline", arrow, stage="pose")
 
 
-def log_cloud(
+def log_motion(
     rec: rr.RecordingStream,
-    cloud: PointCloud,
-    corr: Correspondences,
-    view: TwoView,
-    prefix: str = "",
-) -> None:
-    """The cloud in its colours, by operator and by density, and the residuals in the images (50
-    times longer)."""
-    k = cloud.operator_id.numpy()
-    details = _point_columns(cloud, corr)
-    xyz = cloud.xyz.numpy()
-    for name, colours in (
-        ("photograph", {"colors": cloud.rgb.numpy()}),
-        ("operator", {}),
-        ("density", {"colors": ramp(np.log(marks.neighbour_density(xyz)))}),
-    ):
-        dots = rr.Points3D(xyz, class_ids=k, radii=dot_radius(len(cloud)), **colours)
-        put(rec, prefix, f"world/points/{name}", dots, details, stage="triangulate")
-    for number, (camera, x, pose) in enumerate(
-        ((view.camera1, corr.x1, (None, None)), (view.camera2, corr.x2, (view.R, view.t))), start=1
-    ):
-        seen = marks.ideal_pixels(x[cloud.match], camera)
-        error = project(cloud.xyz, camera.tensors()[0], *pose).numpy() - seen
-        arrows = strokes(np.stack([seen, seen + RESIDUAL_GAIN * error], 1), class_ids=k, width=0.8)
-        size = columns(residual_px=np.linalg.norm(error, axis=1), point=np.arange(len(cloud)))
-        put(rec, prefix, f"world/cam{number}/image/residuals", arrows, size, stage="triangulate")
-        log_survivors(rec, prefix, number, [], "triangulate")  # the cloud, projected, takes over
-
-
-def log_uncertainty(
-    rec: rr.RecordingStream,
-    cloud: PointCloud,
-    corr: Correspondences,
-    prefix: str = "",
-    *,
-    sample: int = 200,
-) -> None:
-    """The cloud by its uncertainty, and 3-sigma ellipsoids of a sample; nothing where the cloud has
-    no covariance."""
-    if cloud.covariance is None:
-        return
-    covariance, k, xyz = cloud.covariance.numpy(), cloud.operator_id.numpy(), cloud.xyz.numpy()
-    sigma = marks.largest_sigma(covariance)
-    dots = rr.Points3D(
-        xyz,
-        class_ids=k,
-        colors=ramp(np.log(np.maximum(sigma, 1e-12))),
-        radii=dot_radius(len(cloud)),
-    )
-    put(rec, prefix, "world/points/uncertainty", dots, _point_columns(cloud, corr), stage="refine")
-    some = marks.spread(xyz[:, :2] / xyz[:, 2:], sample)
-    half_sizes, quaternions = marks.ellipsoids(covariance[some], SIGMAS)
-    shells = rr.Ellipsoids3D(
-        centers=xyz[some],
-        half_sizes=half_sizes,
-        quaternions=quaternions,
-        class_ids=k[some],
-        line_radii=rr.Radius.ui_points(0.5),
-        show_labels=False,
-    )
-    put(
-        rec,
-        prefix,
-        "world/ellipsoids",
-        shells,
-        columns(point=some, sigma=sigma[some]),
-        stage="refine",
-    )
-
-
-def log_match(
-    rec: rr.RecordingStream,
-    row: int,
-    corr: Correspondences,
-    view: TwoView,
-    cloud: PointCloud,
-    prefix: str = "",
-) -> None:
-    """One correspondence in both images and in space: its pixels, and the two rays that meet in its
-    point."""
-    point = int((cloud.match == row).nonzero()[0])
-    X = cloud.xyz[point].numpy()
-    centre2 = np.zeros(3) if view.R is None or view.t is None else -(view.R.T @ view.t).numpy()
-    rays = rr.LineStrips3D(
-        [[[0, 0, 0], X], [centre2, X]],
-        class_ids=int(cloud.operator_id[point]),
-        radii=rr.Radius.ui_points(1.2),
-        show_labels=False,
-    )
-    put(rec, prefix, "world/rays", rays, columns(point=[point], match=[row]), stage="triangulate")
-    for number, (x, camera) in enumerate(
-        ((corr.x1, view.camera1), (corr.x2, view.camera2)), start=1
-    ):
-        dot = rr.Points2D(
-            marks.ideal_pixels(x[row][None], camera),
-            class_ids=int(corr.operator_id[row]),
-            radii=rr.Radius.ui_points(5),
-            labels=f"point {point:,}",
-            show_labels=True,
-        )
-        put(
-            rec,
-            prefix,
-            f"world/cam{number}/image/chosen",
-            dot,
-            columns(match=[row], point=[point]),
-            stage="triangulate",
-        )
-
-
-def _match_columns(corr: Correspondences, traced: Trace, rows: np.ndarray) -> rr.DynamicArchetype:
-    return columns(
-        match=rows,
-        operators=traced.operators[rows],
-        fate=traced.fate[rows],
-        distance_px=traced.distance_px[rows],
-        point=traced.point[rows],
-        x1=corr.x1.numpy()[rows],
-        x2=corr.x2.numpy()[rows],
-        descriptor_distance=corr.distance.numpy()[rows],
-        descriptor_ratio=corr.ratio.numpy()[rows],
-    )
-
-
-def _point_columns(cloud: PointCloud, corr: Correspondences) -> rr.DynamicArchetype:
-
-    rows = cloud.match
-    details = {
-        "point": np.arange(len(cloud)),
-        "match": rows.numpy(),
-        "operators": joined_names(cloud.operator_mask.numpy(), cloud.operators),
-        "operator_mask": cloud.operator_mask.numpy(),
-        "x1": corr.x1[rows].numpy(),
-        "x2": corr.x2[rows].numpy(),
-        "keypoint1": corr.index1[rows].numpy(),
-        "keypoint2": corr.index2[rows].numpy(),
-        "residual_px": cloud.reprojection_error.numpy(),
-        "parallax_deg": cloud.parallax.numpy(),
-    }
-    if cloud.covariance is not None:
-        details["sigma"] = marks.largest_sigma(cloud.covariance.numpy())
-    return columns(**details)
-
-
-def _log_epipolar(
-    rec: rr.RecordingStream,
-    corr: Correspondences,
+    E: Any,
+    x1: Any,
+    x2: Any,
     cameras: Cameras,
-    F: Any,
-    rows: np.ndarray,
+    *,
+    pose: tuple[Any, Any] | None = None,
+    frustum: float = 0.5,
+    prefix: str = "",
+) -> tuple[int, int, int, int]:
+    """Log the four poses of an essential matrix and their cheirality, and the chosen pose.
+
+    Args:
+        E: (3, 3) essential matrix.
+        x1, x2: (N, 2) pixels without distortion.
+        cameras: intrinsics of both images.
+        pose: (R, t) to mark as chosen; default the pose with most points in front of both cameras.
+        frustum: size of the drawn cameras, baselines.
+
+    Returns:
+        For each of the four poses, the number of points in front of both cameras.
+
+    Raises:
+        InputError: arrays of another shape.
+    """
+    a = points_2d("x1", x1)
+    (K1, _), (K2, _) = cameras[0].tensors(), cameras[1].tensors()
+    xn1 = normalize(torch.as_tensor(a), K1)
+    xn2 = normalize(torch.as_tensor(points_2d("x2", x2, len(a))), K2)
+    E = torch.as_tensor(np.asarray(E), dtype=torch.float64)
+    poses = list(zip(*decompose_essential(E)))
+    counts = [int(cheirality(xn1, xn2, R, t).sum()) for R, t in poses]
+    if pose is None:
+        pose = poses[int(np.argmax(counts))]
+    chosen_R, chosen_t = (torch.as_tensor(np.asarray(p), dtype=torch.float64) for p in pose)
+    for number, ((R, t), in_front) in enumerate(zip(poses, counts), start=1):
+        off = float((R - chosen_R).abs().max()) + float((t - chosen_t).abs().max())
+        _log_candidate(
+            rec, number, R, t, cameras[1], in_front, len(a), off < _SAME_POSE, frustum, prefix
+        )
+    log_pose(rec, chosen_R, chosen_t, prefix=prefix)
+    return counts[0], counts[1], counts[2], counts[3]
+
+
+def _log_candidate(
+    rec: rr.RecordingStream,
+    number: int,
+    R: Any,
+    t: Any,
+    camera: Camera,
+    in_front: int,
+    total: int,
+    chosen: bool,
+    frustum: float,
     prefix: str,
 ) -> None:
-    """The epipolar lines of some correspondences in both images, and their points; the same number,
-    the same match."""
-    x1, x2 = (marks.ideal_pixels(x[rows], c) for x, c in zip((corr.x1, corr.x2), cameras))
-    colours = (colormaps["turbo"](np.linspace(0.05, 0.95, len(rows)))[:, :3] * 255).astype(np.uint8)
-    for number, (mine, other, A) in enumerate(((x1, x2, F.mT), (x2, x1, F)), start=1):
-        at = f"world/cam{number}/image/epipolar"
-        segments, crossing = marks.clip_lines(
-            epipolar_lines(A, F.new_tensor(other)).numpy(), cameras[number - 1].size_wh
-        )
-        lines = strokes(segments, colors=colours[crossing], width=1)
-        put(rec, prefix, f"{at}/lines", lines, columns(match=rows[crossing]), stage="estimate")
-        dots = rr.Points2D(
-            mine,
-            colors=colours,
-            radii=rr.Radius.ui_points(4),
-            show_labels=True,
-            labels=[str(n + 1) for n in range(len(rows))],
-        )
-        details = columns(
-            match=rows, operators=np.array(corr.operators)[corr.operator_id.numpy()[rows]]
-        )
-        put(rec, prefix, f"{at}/points", dots, details, stage="estimate")
+    """One of the four poses: its camera, and the number of points in front."""
+    colour, at = GREEN if chosen else GREY, f"world/poses/{number}"
+    put(rec, prefix, at, _place(R, t), stage="pose")
+    put(rec, prefix, f"{at}/frustum", pinhole(camera, frustum, color=colour), stage="pose")
+    # Two of the poses share a centre and two look the same way, so every label gets its own height
+    # above the camera.
+    dot = rr.Points3D(
+        [[0, -0.45 * frustum * (number - 2.5), frustum]],
+        colors=colour,
+        radii=rr.Radius.ui_points(5),
+        labels=f"pose {number}: {in_front:,} of {total:,}{' (chosen)' if chosen else ''}",
+        show_labels=True,
+    )
+    own = columns(in_front=[in_front], chosen=[chosen])
+    put(rec, prefix, f"{at}/count", dot, own, stage="pose")
+
+
+def _place(R: Any, t: Any) -> rr.Transform3D:
+    """The pose of a camera, camera from world."""
+    return rr.Transform3D(
+        mat3x3=np.asarray(R),
+        translation=np.asarray(t),
+        relation=rr.TransformRelation.ChildFromParent,
+    )

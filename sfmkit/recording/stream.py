@@ -1,23 +1,110 @@
-"""How anything gets into a recording: paths below a prefix, stages, our own columns, and the looks
-of marks."""
+"""Basics of a recording: streams, entity paths, stages, own columns, and the look of marks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 from matplotlib import colormaps
+from rerun.chunk import RrdReader
 
+from .._utils.writing import atomic_write
+from ..errors import InputError, OutputError
 from ..types import Camera
 
 STAGES = ("read", "detect", "match", "fuse", "estimate", "pose", "triangulate", "refine")
 GREY = (128, 128, 128)
 MAGENTA = (255, 0, 255)
+GREEN = (0, 158, 115)
 
+APPLICATION = "sfmkit"  # recordings of one application share the layout of their views
 Cameras = tuple[Camera, Camera]
+Size = tuple[int, int]
+Details = Mapping[str, Any]
+
+
+def new_stream(name: str) -> rr.RecordingStream:
+    """Make an empty stream that keeps what is logged in memory until it is written.
+
+    Args:
+        name: recording id. The viewer shows files with the same id as one recording.
+    """
+    rec = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=False)
+    rec.set_log_time_enabled(False)
+    rec.set_log_tick_enabled(False)
+    return rec
+
+
+def write_stream(rec: rr.RecordingStream, path: str | Path, blueprint: Any = None) -> Path:
+    """Write everything that was logged to a stream of :func:`new_stream`; more can be logged later.
+
+    Args:
+        path: the .rrd file. It appears whole or not at all; an existing file is replaced.
+        blueprint: layout of the views.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    path = Path(path)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Path(folder) / "stream.rrd"
+            rec.save(kept)
+            rec.flush()
+            rec.disconnect()
+            chunks = RrdReader(kept).stream().to_chunks()
+        # Saving emptied the stream. What it held is logged again, for the next call.
+        rec.send_chunks(chunks)
+        write_chunks(path, rec.get_recording_id(), chunks, blueprint)
+    except (RuntimeError, ValueError, OSError) as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error
+    return path
+
+
+def write_chunks(path: Path, name: str, chunks: Sequence[Any], blueprint: Any = None) -> None:
+    """Write chunks to one file with the recording id `name`."""
+    with atomic_write(path) as temporary:
+        out = new_stream(name)
+        try:
+            out.save(temporary, default_blueprint=blueprint)
+            out.send_recording_name(name)
+            out.send_chunks(chunks)
+            out.flush()
+        finally:
+            out.disconnect()
+
+
+def recording_ids(path: str | Path) -> set[str]:
+    """The ids of the recordings in a file."""
+    return {entry.recording_id for entry in RrdReader(path).recordings()}
+
+
+def merge_recordings(
+    path: str | Path, sources: Sequence[str | Path], blueprint: Any = None
+) -> Path:
+    """Write the contents of several recordings with the same id to one file, the last one on top.
+
+    Raises:
+        InputError: no sources, or sources with different recording ids.
+        OutputError: the file cannot be written.
+    """
+    path = Path(path)
+    names = {name for source in sources for name in recording_ids(source)}
+    if len(names) != 1:
+        raise InputError(
+            f"{path}: the recordings to merge have {len(names)} different ids, not one"
+        )
+    chunks = [chunk for source in sources for chunk in RrdReader(source).stream()]
+    try:
+        write_chunks(path, names.pop(), chunks, blueprint)
+    except (RuntimeError, ValueError) as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error
+    return path
 
 
 def put(
@@ -27,20 +114,27 @@ def put(
     *what: Any,
     stage: str | None = None,
 ) -> None:
-    """Log `what` below the prefix at a stage, or for all time. Names in a sequence may hold any
-    character."""
+    """Log `what` below the prefix at a stage, or static.
+
+    Args:
+        at: entity path. In a sequence, all names after the first may hold any character.
+    """
     head, *names = [at] if isinstance(at, str) else at
     path = "/".join(
         part for part in (prefix.strip("/"), head, *map(rr.escape_entity_path_part, names)) if part
     )
     if stage is not None:
         rec.set_time("stage", sequence=STAGES.index(stage))
-    rec.log(path or "/", *what, static=stage is None)
+    rec.log(path or "/", *(w for w in what if w is not None), static=stage is None)
 
 
-def columns(**values: Any) -> rr.DynamicArchetype:
-    """Values of our own, one for each mark, under the name ``sfmkit:<name>``; integers as 32 bit,
-    floats as float32."""
+def columns(**values: Any) -> rr.DynamicArchetype | None:
+    """Own columns, one value for each mark, under the name ``sfmkit:<name>``.
+
+    Integers are stored as int32, floats as float32. None without values.
+    """
+    if not values:
+        return None
 
     def arrow(value: Any) -> pa.Array:
         a = np.asarray(value)
@@ -59,6 +153,20 @@ def columns(**values: Any) -> rr.DynamicArchetype:
     )
 
 
+def points_2d(name: str, x: Any, n: int | None = None) -> np.ndarray:
+    """Pixels as (N, 2) float64.
+
+    Raises:
+        InputError: another shape, another number than `n`, or values that are not finite.
+    """
+    a = np.asarray(x, dtype=np.float64)
+    if a.ndim != 2 or a.shape[1] != 2 or (n is not None and len(a) != n):
+        raise InputError(f"{name} must be {'N' if n is None else n} x 2 pixels, not {a.shape}")
+    if not np.isfinite(a).all():
+        raise InputError(f"{name} holds NaN or infinite values")
+    return a
+
+
 def strokes(segments: np.ndarray, *, width: float, **look: Any) -> rr.LineStrips2D:
     """Segments (N, 2, 2), `width` UI points thick."""
     return rr.LineStrips2D(
@@ -67,6 +175,7 @@ def strokes(segments: np.ndarray, *, width: float, **look: Any) -> rr.LineStrips
 
 
 def pinhole(camera: Camera, distance: float, **look: Any) -> rr.Pinhole:
+    """A camera's pinhole model, its image plane drawn at `distance` baselines."""
     return rr.Pinhole(
         image_from_camera=camera.K,
         resolution=camera.size_wh,
@@ -77,40 +186,21 @@ def pinhole(camera: Camera, distance: float, **look: Any) -> rr.Pinhole:
 
 
 def ramp(values: np.ndarray) -> np.ndarray:
-    """(N, 3) uint8 colours, dark blue to yellow from the 5th to the 95th percentile, for any kind
-    of colour vision."""
+    """(N, 3) uint8 colours, dark blue to yellow from the 5th to the 95th percentile.
+
+    The colour map cividis is readable with every kind of colour vision.
+    """
     low, high = np.percentile(values, (5, 95))
     return (
         colormaps["cividis"](np.clip((values - low) / max(high - low, 1e-12), 0, 1))[:, :3] * 255
     ).astype(np.uint8)
 
 
-def log_survivors(
-    rec: rr.RecordingStream,
-    prefix: str,
-    number: int,
-    alive: Sequence[tuple[np.ndarray, np.ndarray]],
-    stage: str,
-) -> None:
-    """What is still in the running at a stage, in one image: positions and class ids, replaced at
-    the next stage."""
-    x = np.concatenate([a[0] for a in alive]) if alive else np.zeros((0, 2))
-    k = np.concatenate([a[1] for a in alive]) if alive else np.zeros(0, dtype=int)
-    dots = rr.Points2D(x, class_ids=k, radii=rr.Radius.ui_points(1))
-    put(rec, prefix, f"world/cam{number}/image/survivors", dots, stage=stage)
-
-
-def side_by_side(x1: np.ndarray, x2: np.ndarray, cameras: Cameras, **look: Any) -> rr.LineStrips2D:
-    return strokes(np.stack([x1, x2 + np.array([beside(cameras), 0])], 1), width=0.6, **look)
-
-
-def beside(cameras: Cameras) -> int:
-    """How far image 2 is shifted to the right where the images stand side by side, pixels."""
-    w1, w2 = cameras[0].size_wh[0], cameras[1].size_wh[0]
-    return w1 + round(0.01 * (w1 + w2))
+def beside(width1: int) -> int:
+    """x of image 2's left edge where the images lie side by side, pixels."""
+    return round(1.02 * width1)
 
 
 def dot_radius(n: int) -> rr.Radius:
-    """The radius of n dots in one view: small enough to see between many, large enough to click one
-    of few."""
+    """Radius of n dots in one view: thin enough to see the photograph, thick enough to click."""
     return rr.Radius.ui_points(float(np.clip(150 / max(n, 1) ** 0.5, 1, 1.8)))

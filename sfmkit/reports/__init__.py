@@ -1,1 +1,19 @@
 """Results as files: output folders, tables, HTML pages, LaTeX."""
+
+from .html import find_results, write_report
+from .latex import latex_table
+from .outputs import write_outputs
+from .result import Column, Result, ResultFigure, ResultTable, read_result, write_result
+
+__all__ = [
+    "Column",
+    "Result",
+    "ResultFigure",
+    "ResultTable",
+    "find_results",
+    "latex_table",
+    "read_result",
+    "write_outputs",
+    "write_report",
+    "write_result",
+]

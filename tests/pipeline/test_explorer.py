@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import InputError
 from sfmkit.options import DetectOptions, Options
-from sfmkit.pipeline.explorer import EpipolarExplorer, clip_line
+from sfmkit.pipeline.explorer import EpipolarExplorer
 from sfmkit.pipeline.reconstruction import reconstruct
 
 
@@ -116,16 +116,6 @@ def test_bad_keypoints_are_bad_input(result):
         explorer.keypoint("sift", 0)
     with pytest.raises(InputError, match="none with number"):
         explorer.keypoint("orb", 10**6)
-
-
-def test_lines_are_clipped_to_the_image():
-    assert np.allclose(
-        sorted(clip_line(np.array([0.0, 1, -5]), 20, 10).tolist()), [[-0.5, 5], [19.5, 5]]
-    )
-    assert clip_line(np.array([0.0, 1, -50]), 20, 10) is None
-    assert clip_line(np.zeros(3), 20, 10) is None
-    ends = clip_line(np.array([1.0, -1, 0]), 20, 10)
-    assert np.allclose(np.sort(ends[:, 0]), [-0.5, 9.5])
 
 
 def test_a_click_draws_the_line_and_a_slider_answers_at_once(result):

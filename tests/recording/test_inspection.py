@@ -121,7 +121,7 @@ def test_how_an_operator_did(path):
 def test_what_an_entity_holds(path):
     words = describe_entity(path, "world/points/operator")
     assert re.search(r"sfmkit:parallax_deg +300 +2 \.\. 12 +stage 6", words)
-    assert "below it: density, operator, photograph, uncertainty" in describe_entity(
+    assert "below it: density, operator, parallax, photograph, uncertainty" in describe_entity(
         path, "/world/points"
     )
     assert "always" in describe_entity(path, "/report")
@@ -236,7 +236,7 @@ def test_a_recording_of_a_newer_viewer(path, tmp_path):
 
 def test_a_recording_of_another_schema(path, tmp_path, monkeypatch):
     monkeypatch.setattr("sfmkit.recording.log.SCHEMA", 99)
-    with pytest.raises(RecordingError, match=r"follows schema 1 .* reads schema 99"):
+    with pytest.raises(RecordingError, match=r"follows schema 2 .* reads schema 99"):
         describe_recording(path)
 
 

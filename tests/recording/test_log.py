@@ -24,8 +24,10 @@ from sfmkit.geometry.reprojection import project
 from sfmkit.io.images import read_image
 from sfmkit.pipeline.reconstruction import Reconstruction
 from sfmkit.recording import log as recordings
+from sfmkit.recording.log_photos import log_photographs
 from sfmkit.recording.read import Recording, read_recording
 from sfmkit.types import Camera, Verdict
+from sfmkit.viz.colours import operator_rgb
 
 RESULT = make_result()
 
@@ -47,6 +49,11 @@ def own(recording: Recording, entity: str) -> dict:
         for c, v in recording.latest(entity).items()
         if c.startswith("sfmkit:")
     }
+
+
+def packed(rgb: tuple[int, int, int]) -> int:
+    """A colour as the file stores it: 0xRRGGBBAA."""
+    return rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | 255
 
 
 def positions(recording: Recording, entity: str, stage: int | None = None) -> np.ndarray:
@@ -89,6 +96,7 @@ def test_every_entity_and_column_is_documented_and_every_documented_one_is_there
         entity = re.sub(r"/(cam|photo)[12]\b", r"/\1N", entity)
         entity = re.sub(r"/poses/[1-4]\b", "/poses/K", entity)
         entity = re.sub(r"^/timings/\w+", "/timings/STAGE", entity)
+        entity = re.sub(r"^/account/chart/\w+", "/account/chart/QUANTITY", entity)
         return re.sub(r"/(surf|orb|fast-brief)(?=/|$)", "/OP", entity)
 
     seen = set()
@@ -116,7 +124,7 @@ def test_keypoints_carry_operator_scale_and_fate(recording, name, image):
         own(recording, entity),
     )
     np.testing.assert_array_equal(logged["Points2D:positions"], f.keypoints)
-    np.testing.assert_array_equal(logged["Points2D:class_ids"], [OPERATORS.index(name)])
+    assert logged["Points2D:colors"].tolist() == [packed(operator_rgb(name))]
     np.testing.assert_array_equal(columns["scale_px"], f.scales)
     np.testing.assert_allclose(columns["angle_deg"], np.degrees(f.angles), rtol=1e-6)
     k = OPERATORS.index(name)
@@ -491,9 +499,7 @@ def test_a_viewer_that_is_closed_meanwhile_does_not_stop_the_logging():
         while not listens(port) and time.monotonic() < deadline:
             time.sleep(0.05)
         rec.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
-        recordings.log_images(
-            rec, RESULT.images, (RESULT.two_view.camera1, RESULT.two_view.camera2)
-        )
+        log_photographs(rec, *RESULT.images, (RESULT.two_view.camera1, RESULT.two_view.camera2))
     finally:
         from sfmkit.recording.viewer import end
 

@@ -130,10 +130,7 @@ def point_origin(recording: Recording, n: int, prefix: str = "") -> PointOrigin:
     if not 0 <= n < total:
         raise RecordingError(f"there is no point {n}; {recording.path} has points 0 to {total - 1}")
     xyz = recording.latest(entity)["Points3D:positions"][n]
-    row, kept = (
-        int(cloud["match"][n]),
-        operators[int(recording.latest(entity)["Points3D:class_ids"][n])],
-    )
+    row, kept = int(cloud["match"][n]), str(cloud["operator"][n])
     inliers = own_columns(recording, f"{prefix}/world/cam1/image/inliers/{escaped(kept)}")
     match = int(np.flatnonzero(inliers["match"] == row)[0])
     found_by = tuple(o for k, o in enumerate(operators) if int(cloud["operator_mask"][n]) >> k & 1)

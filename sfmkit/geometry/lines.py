@@ -1,0 +1,38 @@
+"""Lines in an image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def clip_lines(
+    lines: Tensor, size_wh: tuple[int, int], margin: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Clip lines to the area of an image.
+
+    Pixel centres are at integers, so the area reaches from -0.5 to w - 0.5 and h - 0.5.
+
+    Args:
+        lines: (*B, N, 3) with ``a x + b y + c = 0``.
+        size_wh: image size in pixels.
+        margin: width by which the area is extended on every side, pixels.
+
+    Returns:
+        segments (*B, N, 2, 2), the two ends on the border, and crosses (*B, N) bool, whether a line
+        has a part of positive length in the area. Segments of the other lines are not meaningful.
+    """
+    low = lines.new_tensor([-0.5 - margin, -0.5 - margin])
+    high = lines.new_tensor(size_wh) - 0.5 + margin
+    normal, c = lines[..., :2], lines[..., 2:]
+    length = normal.norm(dim=-1, keepdim=True)
+    unit = normal / length
+    foot = -unit * c / length
+    along = torch.stack([unit[..., 1], -unit[..., 0]], -1)
+    free = along == 0  # parallel to two sides: between them or outside
+    s = torch.stack([(low - foot) / along, (high - foot) / along])
+    enter = torch.where(free, -torch.inf, s.amin(0)).amax(-1, keepdim=True)
+    leave = torch.where(free, torch.inf, s.amax(0)).amin(-1, keepdim=True)
+    outside = free & ((foot < low) | (foot > high))
+    crosses = (length > 0)[..., 0] & ~outside.any(-1) & (enter < leave)[..., 0]
+    return torch.stack([foot + enter * along, foot + leave * along], -2), crosses
