@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..geometry.coordinates import denormalize, normalize
-from ..geometry.distortion import undistort
+from ..geometry.coordinates import normalize
+from ..geometry.distortion import undistort_pixels
 from ..geometry.essential import (
     decompose_essential,
     essential_from_fundamental,
@@ -55,12 +55,9 @@ def undistorted_pixels(
     corr: Correspondences, camera1: Camera, camera2: Camera
 ) -> tuple[Tensor, Tensor]:
     """(N, 2) pixels in both images as ideal pinholes with the same K would have seen them."""
-    return tuple(_undistorted(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2)))  # type: ignore[return-value]
-
-
-def _undistorted(x: Tensor, camera: Camera) -> Tensor:
-    K, d = camera.tensors()
-    return x if d is None else denormalize(undistort(normalize(x, K), d), K)
+    return tuple(
+        undistort_pixels(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2))
+    )  # type: ignore[return-value]
 
 
 def estimate_two_view(

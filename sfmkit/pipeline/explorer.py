@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry.coordinates import denormalize, normalize
-from ..geometry.distortion import distort, undistort
+from ..geometry.coordinates import normalize
+from ..geometry.distortion import distort_pixels, undistort_pixels
 from ..geometry.fundamental import epipolar_lines
 from ..geometry.lines import clip_lines
-from ..types import Camera
 from .reconstruction import Reconstruction
 
 _KEYPOINT = re.compile(r"/world/cam1/image/keypoints/(?P<operator>[^/]+)$")  # see docs/recording.md
@@ -108,7 +107,7 @@ class EpipolarExplorer:
             np.zeros((0, 2), np.float32)
         ]
         self._keypoints2 = torch.from_numpy(np.concatenate(keypoints).astype(np.float64))
-        self._ideal2 = _ideal(self._keypoints2, view.camera2)
+        self._ideal2 = undistort_pixels(self._keypoints2, view.camera2)
         cloud = result.cloud
         #: the depth to which rays are drawn, baselines
         self.far = (
@@ -133,7 +132,7 @@ class EpipolarExplorer:
                 f"pixel ({pixel[0]:g}, {pixel[1]:g}) lies outside image 1, which has {w} x {h} pixels"
             )
         view, corr = self.result.two_view, self.result.correspondences
-        ideal = _ideal(torch.from_numpy(pixel)[None], view.camera1)
+        ideal = undistort_pixels(torch.from_numpy(pixel)[None], view.camera1)
         line = epipolar_lines(self.F, ideal)[0]
         K1, _ = view.camera1.tensors()
         ray = torch.nn.functional.normalize(
@@ -144,8 +143,10 @@ class EpipolarExplorer:
         x1_match = x2_match = residual = X = None
         if match is not None:
             x1_match, x2_match = corr.x1[match].numpy(), corr.x2[match].numpy()
-            own = epipolar_lines(self.F, _ideal(corr.x1[match][None], view.camera1))[0]
-            residual = abs(float(own[:2] @ _ideal(corr.x2[match][None], view.camera2)[0] + own[2]))
+            own = epipolar_lines(self.F, undistort_pixels(corr.x1[match][None], view.camera1))[0]
+            residual = abs(
+                float(own[:2] @ undistort_pixels(corr.x2[match][None], view.camera2)[0] + own[2])
+            )
             if match in self._point_of and self.result.cloud is not None:
                 X = self.result.cloud.xyz[self._point_of[match]].numpy()
         return EpipolarView(
@@ -210,15 +211,7 @@ class EpipolarExplorer:
         (ends,), (crosses,) = clip_lines(line[None], (w, h), margin)
         if not crosses or not camera.has_distortion:
             return ends.numpy() if crosses else np.zeros((0, 2))
-        K, d = camera.tensors()
-        assert d is not None
         share = torch.linspace(0, 1, _STEPS, dtype=torch.float64)[:, None]
         straight = (1 - share) * ends[0] + share * ends[1]
-        bent = denormalize(distort(normalize(straight, K), d), K).numpy()
+        bent = distort_pixels(straight, camera).numpy()
         return bent[((bent >= -0.5) & (bent <= (w - 0.5, h - 0.5))).all(1)]
-
-
-def _ideal(x: Tensor, camera: Camera) -> Tensor:
-    """(N, 2) pixels of a photograph as an ideal pinhole would have seen them."""
-    K, d = camera.tensors()
-    return x if d is None else denormalize(undistort(normalize(x, K), d), K)

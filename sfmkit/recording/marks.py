@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ..geometry.coordinates import denormalize, normalize
-from ..geometry.distortion import undistort
+from ..geometry.distortion import undistort_pixels
 from ..types import Camera, PointCloud
 
 
@@ -21,13 +20,16 @@ def ideal_pixels(x: np.ndarray | Tensor, camera: Camera | None) -> np.ndarray:
     t = torch.as_tensor(np.asarray(x), dtype=torch.float64)
     if camera is None:
         return t.numpy()
-    K, d = camera.tensors()
-    return (t if d is None or not len(t) else denormalize(undistort(normalize(t, K), d), K)).numpy()
+    return undistort_pixels(t, camera).numpy()
 
 
 def ideal_image(rgb: np.ndarray, camera: Camera) -> np.ndarray:
     """Undistort a photograph, keeping K; returned unchanged where there is no distortion."""
-    return cv2.undistort(rgb, camera.K, camera.distortion) if camera.has_distortion else rgb
+    if not camera.has_distortion:
+        return rgb
+    if camera.model == "fisheye":
+        return cv2.fisheye.undistortImage(rgb, camera.K, camera.distortion, Knew=camera.K)
+    return cv2.undistort(rgb, camera.K, camera.distortion)
 
 
 def spread(x: np.ndarray, n: int) -> np.ndarray:
