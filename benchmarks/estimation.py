@@ -186,26 +186,21 @@ def hypotheses(pair: MatchedPair, runs: int) -> None:
 
 
 def estimators(p: MatchedPair, seed: int) -> dict[str, Callable[[], RobustModel]]:
-    poselib, pycolmap = peers.backend("poselib"), peers.backend("pycolmap")
     known = {"ratio": p.corr.ratio, "groups": p.corr.operator_id}
     given = (p.x1, p.x2, p.K, p.K)
     return {
-        "sfmkit, told ratios and operators": lambda: robust.estimate_essential(
-            *given, seed=seed, **known
-        ),
-        "sfmkit": lambda: robust.estimate_essential(*given, seed=seed),
-        "PoseLib": lambda: poselib.estimate_essential(*given, seed=seed),
-        "PoseLib, 100,000 samples": lambda: poselib.estimate_essential(
+        "sfmkit, told ratios and operators": lambda: robust.estimate(*given, seed=seed, **known),
+        "sfmkit": lambda: robust.estimate(*given, seed=seed),
+        "PoseLib": lambda: peers.estimate_poselib(*given, seed=seed),
+        "PoseLib, 100,000 samples": lambda: peers.estimate_poselib(
             *given, seed=seed, max_iterations=100_000
         ),
-        "pycolmap": lambda: pycolmap.estimate_essential(*given, seed=seed),
-        "pycolmap, 100,000 samples": lambda: pycolmap.estimate_essential(
+        "pycolmap": lambda: peers.estimate_pycolmap(*given, seed=seed),
+        "pycolmap, 100,000 samples": lambda: peers.estimate_pycolmap(
             *given, seed=seed, max_iterations=100_000
         ),
-        "cv2 USAC_MAGSAC": lambda: opencv.estimate_essential(*given, seed=seed),
-        "cv2 USAC_ACCURATE": lambda: opencv.estimate_essential(
-            *given, seed=seed, method="usac_accurate"
-        ),
+        "cv2 USAC_MAGSAC": lambda: opencv.estimate(*given, seed=seed),
+        "cv2 USAC_ACCURATE": lambda: opencv.estimate(*given, seed=seed, method="usac_accurate"),
     }
 
 

@@ -153,10 +153,10 @@ def _seen(
 
 def estimators() -> dict[str, Callable[..., RobustModel]]:
     return {
-        "sfmkit": robust.estimate_essential,
-        "cv2 USAC_MAGSAC": opencv.estimate_essential,
-        "poselib": peers.backend("poselib").estimate_essential,
-        "pycolmap": peers.backend("pycolmap").estimate_essential,
+        "sfmkit": robust.estimate,
+        "cv2 USAC_MAGSAC": opencv.estimate,
+        "poselib": peers.estimate_poselib,
+        "pycolmap": peers.estimate_pycolmap,
     }
 
 

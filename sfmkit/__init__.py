@@ -27,6 +27,10 @@ _PUBLIC = {
     "OPERATORS": "features",
     "match": "matching",
     "fuse": "matching",
+    "register_operator": "features",
+    "register_matcher": "matching",
+    "register_estimator": "estimation",
+    "RobustModel": "estimation",
     "estimate_two_view": "estimation",
     "reconstruct": "pipeline",
     "Reconstruction": "pipeline",
@@ -37,9 +41,10 @@ __all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
     from .errors import DegenerateGeometryError, InputError, SfmError
-    from .estimation import estimate_two_view
-    from .features import OPERATORS, detect
+    from .estimation import RobustModel, estimate_two_view, register_estimator
+    from .features import OPERATORS, detect, register_operator
     from .io.images import read_image
+    from .matching import register_matcher
     from .matching.fusion import fuse
     from .matching.nearest import match
     from .pipeline.reconstruction import Reconstruction, reconstruct

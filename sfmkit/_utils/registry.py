@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points, packages_distributions, version
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from .._version import __version__
-from ..errors import InputError
+from ..errors import InputError, SfmError
 
 T = TypeVar("T", bound=Callable)
 
@@ -87,6 +87,36 @@ class Registry(Generic[T]):
             raise self.error(f"{self.kind} '{name}' is a {type(plugin).__name__}, not callable")
         return plugin
 
+    def canonical(self, name: str) -> str:
+        """The name under which results of the plug-in are stored.
+
+        Raises:
+            InputError: there is no such plug-in.
+        """
+        self[name]
+        return name
+
+    def call(self, name: str, *args: Any, **keywords: Any) -> Any:
+        """Call a plug-in; the message of an error that it raises names it.
+
+        Raises:
+            InputError: (or the registry's own class) the plug-in is not part of sfmkit and raised
+                an error. Errors of built-in plug-ins are passed through.
+        """
+        plugin = self[name]
+        try:
+            return plugin(*args, **keywords)
+        except Exception as error:  # a plug-in may raise anything
+            if self.is_built_in(name):
+                raise
+            kind = "" if isinstance(error, SfmError) else f"{type(error).__name__}: "
+            raise self.error(f"{self.kind} '{name}' failed: {kind}{error}") from error
+
+    def reject(self, name: str, result: Any, reason: str) -> InputError:
+        """The error for a result that breaks the contract; the caller raises it."""
+        kind = type(result).__name__
+        return self.error(f"{self.kind} '{name}' returned a wrong {kind}: {reason}")
+
     def import_path(self, name: str) -> str:
         """A name under which another process finds the same plug-in.
 
@@ -133,8 +163,22 @@ class Registry(Generic[T]):
         return {point.name: point for point in entry_points(group=self.group)}
 
 
+def accepted(function: Callable, keywords: Mapping[str, Any], *, rest: bool) -> dict[str, Any]:
+    """Those of `keywords` that a function has a parameter for.
+
+    Args:
+        rest: Whether ``**options`` of the function takes the remaining ones.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    if rest and any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return dict(keywords)
+    named = {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+    return {name: value for name, value in keywords.items() if name in named}
+
+
 def _place(plugin: Callable) -> tuple[str, str]:
     """Module and qualified name of a function, class or instance."""
+    plugin = inspect.unwrap(plugin)
     owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
     return owner.__module__, owner.__qualname__
 

@@ -12,8 +12,7 @@ from typing import Any
 
 from ..datasets import Pair
 from ..errors import InputError
-from ..features import available
-from ..features.tables import operator_spec
+from ..features import OPERATOR_PLUGINS, available
 from .cache import Cache
 from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
 from .tasks import DetectTask, EstimateTask, Job, MatchTask, Task, estimate_key
@@ -171,7 +170,7 @@ def make_plan(
     Raises:
         InputError: unknown operators, combinations, presets, settings, data sets.
     """
-    names = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    names = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     for name in names:
         usable, reason = available(name)
         if not usable:

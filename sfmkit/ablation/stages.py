@@ -18,10 +18,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..estimation import adjust, estimate_two_view
-from ..estimation.planar import PAPER_PLANAR, PlanarOptions
 from ..features import detect
 from ..io.images import Image, decode_image, read_image
-from ..matching.nearest import match
+from ..matching import run_matcher
 from ..pipeline.registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches, Verdict
 from .cache import Cache
@@ -130,8 +129,7 @@ def make_matches(task: MatchTask, store: Store) -> Entry:
     f1, f2 = (features_of(store.result(t)) for t in task.needs)
     with PeakMemory() as memory:
         began = time.process_time()
-        o = task.options
-        m = match(f1, f2, mutual=o.mutual, max_ratio=o.max_ratio, max_distance=o.max_distance)
+        m = run_matcher(f1, f2, task.options)
         seconds = time.process_time() - began
     arrays = {"index1": m.index1, "index2": m.index2, "distance": m.distance, "ratio": m.ratio}
     return Entry(
@@ -191,13 +189,11 @@ def _homography(
     seed: int,
 ) -> dict[str, Any]:
     variant = task.variant
-    planar = PAPER_PLANAR if variant.preset == "paper" else PlanarOptions()
-    changed = dict(variant.changes)
+    options, changed = variant.options, dict(variant.changes)
     if "threshold_px" in changed:
-        planar = replace(planar, threshold_px=changed["threshold_px"])
-    r = register_matches(
-        features, matches, options=variant.options, planar=planar, seed=seed, fused=fused
-    )
+        planar = replace(options.planar, threshold_px=changed["threshold_px"])
+        options = replace(options, planar=planar)
+    r = register_matches(features, matches, options=options, seed=seed, fused=fused)
     return {
         "verdict": r.verdict.value,
         "reason": r.reason,

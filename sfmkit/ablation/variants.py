@@ -10,7 +10,7 @@ from itertools import combinations, product
 from typing import Any
 
 from ..errors import InputError
-from ..features.tables import operator_spec
+from ..features import OPERATOR_PLUGINS
 from ..options import PRESETS, DetectOptions, Options
 
 JOIN = "/"  # between the operators of a combination; + already joins a detector with a descriptor
@@ -76,7 +76,7 @@ def choose_combinations(
 
 def _combination(part: str | Sequence[str], operators: Sequence[str]) -> Combination:
     names = part.split(JOIN) if isinstance(part, str) else part
-    members = {operator_spec(name).name for name in names}
+    members = {OPERATOR_PLUGINS.canonical(name) for name in names}
     for name in members:
         if name not in operators:
             raise InputError(
@@ -213,7 +213,7 @@ def _settings_with_defaults(operators: Sequence[str]) -> dict[str, Any]:
     return stage | {
         f"{o}.{option}": value
         for o in operators
-        for option, value in operator_spec(o).options.items()
+        for option, value in OPERATOR_PLUGINS.options(o).items()
     }
 
 

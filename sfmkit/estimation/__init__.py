@@ -2,13 +2,18 @@
 they mean."""
 
 from .adjust import Adjustment, adjust
+from .plugins import ESTIMATOR_PLUGINS, Estimator, register_estimator, run_estimator
 from .result import RobustModel
 from .two_view import estimate_two_view, undistorted_pixels
 
 __all__ = [
+    "ESTIMATOR_PLUGINS",
     "Adjustment",
+    "Estimator",
     "RobustModel",
     "adjust",
     "estimate_two_view",
+    "register_estimator",
+    "run_estimator",
     "undistorted_pixels",
 ]

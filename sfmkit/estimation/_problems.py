@@ -52,7 +52,7 @@ def quick_scores(v: Tensor, weights: Tensor | None) -> Tensor:
     return torch.linalg.vecdot(a, b) if weights is None else a.mul_(b) @ weights
 
 
-class Problem(ABC):
+class SearchProblem(ABC):
     """N matches, shuffled once, and one kind of model."""
 
     sample_size: int
@@ -118,7 +118,7 @@ class Problem(ABC):
         return torch.where(enough[:, None, None], fitted, models)
 
 
-class _Epipolar(Problem):
+class _Epipolar(SearchProblem):
     """Shared by E and F: the Sampson distance as two matrix products."""
 
     def __init__(self, x1: Tensor, x2: Tensor, threshold: float, weights: Tensor | None):
@@ -267,7 +267,7 @@ def _sampson_parts(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     return r, (a * a + b * b + c * c + d * d).clamp(min=1e-300)
 
 
-class HomographyProblem(Problem):
+class HomographyProblem(SearchProblem):
     """H by four points; improved by the DLT, reweighted for the marginal loss of Sampson
     distances."""
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.coordinates import denormalize, normalize
-from ..geometry.fundamental import fundamental_from_essential, sampson_distance
+from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
 from ..geometry.homography import homography_sampson
 from ..geometry.losses import marginal_score
-from .result import RobustModel, supported
+from .result import RobustModel, check_model, supported
 
 METHODS = {
     "ransac": cv2.RANSAC,
@@ -25,41 +26,62 @@ METHODS = {
 }
 
 
-def estimate_essential(
+def estimate(
     x1: Tensor,
     x2: Tensor,
-    K1: Tensor,
-    K2: Tensor,
+    K1: Tensor | None = None,
+    K2: Tensor | None = None,
     *,
+    model: str = "essential",
     threshold_px: float = 1.0,
-    method: str = "usac_magsac",
+    method: str | None = None,
     confidence: float = 0.9999,
     max_iterations: int = 10_000,
     seed: int = 0,
 ) -> RobustModel:
-    """Essential matrix ``xn2^T E xn1 = 0`` by ``cv2.findEssentialMat``.
+    """Estimate E, F or H by ``cv2.findEssentialMat``, ``findFundamentalMat``, ``findHomography``.
 
-    OpenCV assumes one camera; two different ones are both turned into a virtual camera with the
-    mean focal length, so that the threshold stays in pixels.
+    OpenCV assumes one camera for E; two different ones are both converted to a virtual camera with
+    the mean focal length, so that the threshold stays in pixels.
 
     Args:
         x1, x2: (N, 2) undistorted pixels.
-        K1, K2: (3, 3).
-        method: a key of METHODS.
-        seed: OpenCV starts its own generator anew on every call; the seed shuffles the matches.
+        K1, K2: (3, 3) intrinsics; for the essential matrix only.
+        model: ``essential``, ``fundamental`` or ``homography``.
+        method: a key of METHODS; None for ``usac_magsac``.
+        seed: shuffles the matches; OpenCV starts its own generator anew on every call.
 
     Returns:
-        RobustModel with E; without a model when there are fewer than 5 matches or OpenCV finds
-        none.
+        RobustModel; without a model when there are fewer than 5 (E), 8 (F) or 4 (H) matches or
+        OpenCV finds none.
 
     Raises:
-        InputError: unknown method, shapes, dtypes, NaN.
+        InputError: unknown model or method, shapes, dtypes, NaN.
     """
-    check_points(x1=x1, x2=x2)
-    check_intrinsics(x1, K1=K1, K2=K2)
-    flag = _flag(method)
-    if len(x1) < 5:
+    check_model(model, x1, x2, K1, K2)
+    flag = _flag(method or "usac_magsac")
+    least, fit = _FITS[model]
+    if len(x1) < least:
         return RobustModel.failed(len(x1), device=x1.device)
+    models, squares = fit(x1, x2, K1, K2, flag, threshold_px, confidence, max_iterations, seed)
+    best = _best([M.to(x1) for M in models], squares, x1, threshold_px)
+    return supported(best, x1, x2, least, threshold_px)
+
+
+Squares = Callable[[Tensor], Tensor]  # model -> (N,) squared Sampson distances, square pixels
+
+
+def _essential(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    flag: int,
+    threshold: float,
+    confidence: float,
+    most: int,
+    seed: int,
+) -> tuple[list[Tensor], Squares]:
     if torch.equal(K1, K2):
         K = K1.clone()
         K[:2, 2] = 0  # OpenCV computes in float32: far from the origin its pixels are coarse
@@ -74,78 +96,56 @@ def estimate_essential(
         K.cpu().numpy(),
         method=flag,
         prob=confidence,
-        threshold=threshold_px,
-        maxIters=max_iterations,
+        threshold=threshold,
+        maxIters=most,
     )
-    best = _best(
-        [E.to(x1) for E in found],
-        lambda E: sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2,
-        x1,
-        threshold_px,
-    )
-    return supported(best, x1, x2, 5, threshold_px)
+    return found, lambda E: squared_sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2)
 
 
-def estimate_fundamental(
+def _fundamental(
     x1: Tensor,
     x2: Tensor,
-    *,
-    threshold_px: float = 1.0,
-    method: str = "usac_magsac",
-    confidence: float = 0.9999,
-    max_iterations: int = 10_000,
-    seed: int = 0,
-) -> RobustModel:
-    """Fundamental matrix ``x2^T F x1 = 0`` by ``cv2.findFundamentalMat``; arguments as for
-    :func:`estimate_essential`.
-
-    Without a model when there are fewer than 8 matches.
-    """
-    check_points(x1=x1, x2=x2)
-    flag = _flag(method)
-    if len(x1) < 8:
-        return RobustModel.failed(len(x1), device=x1.device)
+    K1: Tensor | None,
+    K2: Tensor | None,
+    flag: int,
+    threshold: float,
+    confidence: float,
+    most: int,
+    seed: int,
+) -> tuple[list[Tensor], Squares]:
     (y1, T1), (y2, T2) = _centred(x1), _centred(x2)
     p1, p2 = _shuffled(y1, y2, seed)
-    found = _solve(cv2.findFundamentalMat, p1, p2, flag, threshold_px, confidence, max_iterations)
+    found = _solve(cv2.findFundamentalMat, p1, p2, flag, threshold, confidence, most)
     models = [T2.mT @ F.to(x1) @ T1 for F in found]
-    best = _best(models, lambda F: sampson_distance(F, x1, x2) ** 2, x1, threshold_px)
-    return supported(best, x1, x2, 8, threshold_px)
+    return models, lambda F: squared_sampson_distance(F, x1, x2)
 
 
-def estimate_homography(
+def _homography(
     x1: Tensor,
     x2: Tensor,
-    *,
-    threshold_px: float = 1.0,
-    method: str = "usac_magsac",
-    confidence: float = 0.9999,
-    max_iterations: int = 10_000,
-    seed: int = 0,
-) -> RobustModel:
-    """Homography ``x2 = H x1`` by ``cv2.findHomography``; arguments as for
-    :func:`estimate_essential`.
-
-    Without a model when there are fewer than 4 matches.
-    """
-    check_points(x1=x1, x2=x2)
-    flag = _flag(method)
-    if len(x1) < 4:
-        return RobustModel.failed(len(x1), device=x1.device)
+    K1: Tensor | None,
+    K2: Tensor | None,
+    flag: int,
+    threshold: float,
+    confidence: float,
+    most: int,
+    seed: int,
+) -> tuple[list[Tensor], Squares]:
     (y1, T1), (y2, T2) = _centred(x1), _centred(x2)
     p1, p2 = _shuffled(y1, y2, seed)
     found = _solve(
-        cv2.findHomography,
-        p1,
-        p2,
-        flag,
-        threshold_px,
-        maxIters=max_iterations,
-        confidence=confidence,
+        cv2.findHomography, p1, p2, flag, threshold, maxIters=most, confidence=confidence
     )
     models = [torch.linalg.inv(T2) @ H.to(x1) @ T1 for H in found]
-    best = _best(models, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
-    return supported(best, x1, x2, 4, threshold_px)
+    return models, lambda H: homography_sampson(H, x1, x2)
+
+
+# size of a minimal sample (8 for F, whose linear fit OpenCV uses), and the fit
+_FITS: dict[str, tuple[int, Callable[..., tuple[list[Tensor], Squares]]]] = {
+    "essential": (5, _essential),
+    "fundamental": (8, _fundamental),
+    "homography": (4, _homography),
+}
 
 
 def _flag(method: str) -> int:

@@ -3,8 +3,9 @@ calls. CPU only."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -12,97 +13,99 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry._checks import check_intrinsics, check_points
 from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
 from ..geometry.homography import homography_sampson
 from ..geometry.losses import marginal_score
-from .result import RobustModel, supported
+from .result import RobustModel, check_model, supported
 
 PEERS = ("poselib", "pycolmap")
 
 
-def backend(name: str) -> Any:
-    """The estimators of a peer, with the signatures of :mod:`sfmkit.estimation.opencv`; method is
-    ``loransac`` only.
+def estimate_poselib(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor | None = None,
+    K2: Tensor | None = None,
+    *,
+    model: str = "essential",
+    threshold_px: float = 1.0,
+    method: str | None = None,
+    confidence: float = 0.9999,
+    max_iterations: int = 10_000,
+    seed: int = 0,
+) -> RobustModel:
+    """Estimate E, F or H by PoseLib's LO-RANSAC.
+
+    Args:
+        x1, x2: (N, 2) undistorted pixels.
+        K1, K2: (3, 3) intrinsics without skew; for the essential matrix only.
+        model: ``essential``, ``fundamental`` or ``homography``.
+        method: ``loransac`` is the only one.
+
+    Returns:
+        RobustModel; without a model when there are fewer than 5 (E), 8 (F) or 4 (H) matches or
+        none is found.
 
     Raises:
-        InputError: no such peer, or it is not installed.
+        InputError: PoseLib is not installed; unknown model or method, shapes, dtypes, NaN, skew.
     """
-    if name not in PEERS:
-        raise InputError(
-            f"there is no back end {name!r}; there are torch, opencv, {', '.join(PEERS)}"
-        )
+    settings = threshold_px, confidence, max_iterations, seed
+    return _estimate("poselib", _poselib, x1, x2, K1, K2, model, method, settings)
+
+
+def estimate_pycolmap(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor | None = None,
+    K2: Tensor | None = None,
+    *,
+    model: str = "essential",
+    threshold_px: float = 1.0,
+    method: str | None = None,
+    confidence: float = 0.9999,
+    max_iterations: int = 10_000,
+    seed: int = 0,
+) -> RobustModel:
+    """Estimate E, F or H by COLMAP's LO-RANSAC; see :func:`estimate_poselib`."""
+    settings = threshold_px, confidence, max_iterations, seed
+    return _estimate("pycolmap", _pycolmap, x1, x2, K1, K2, model, method, settings)
+
+
+Found = tuple[np.ndarray | None, int]  # the model, and the samples tried
+Settings = tuple[float, float, int, int]  # threshold_px, confidence, max_iterations, seed
+
+
+def _estimate(
+    name: str,
+    fit: Callable[..., Found],
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor | None,
+    K2: Tensor | None,
+    model: str,
+    method: str | None,
+    settings: Settings,
+) -> RobustModel:
     module = _installed(name)
-    fit = {"poselib": _poselib, "pycolmap": _pycolmap}[name]
+    check_model(model, x1, x2, K1, K2)
+    if method not in (None, "loransac"):
+        raise InputError(f"the {name} back end has no method {method!r}; it has loransac")
+    cameras = None
+    if model == "essential":
+        assert K1 is not None
+        assert K2 is not None
+        cameras = K1, K2
+    found = fit(module, model, x1, x2, cameras, *settings)
 
-    def estimate_essential(
-        x1: Tensor,
-        x2: Tensor,
-        K1: Tensor,
-        K2: Tensor,
-        *,
-        threshold_px: float = 1.0,
-        method: str = "loransac",
-        confidence: float = 0.9999,
-        max_iterations: int = 10_000,
-        seed: int = 0,
-    ) -> RobustModel:
-        """Essential matrix; see :func:`sfmkit.estimation.opencv.estimate_essential`."""
-        check_intrinsics(x1, K1=K1, K2=K2)
-        _check(name, x1, x2, method)
-        found = fit(
-            module, "essential", x1, x2, (K1, K2), threshold_px, confidence, max_iterations, seed
-        )
+    def square(M: Tensor) -> Tensor:
+        if model == "homography":
+            return homography_sampson(M, x1, x2)
+        F = M if cameras is None else fundamental_from_essential(M, *cameras)
+        return squared_sampson_distance(F, x1, x2)
 
-        def square(E: Tensor) -> Tensor:
-            return squared_sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2)
-
-        return supported(
-            _result(found, square, x1, threshold_px), x1, x2, _LEAST["essential"], threshold_px
-        )
-
-    def estimate_fundamental(
-        x1: Tensor,
-        x2: Tensor,
-        *,
-        threshold_px: float = 1.0,
-        method: str = "loransac",
-        confidence: float = 0.9999,
-        max_iterations: int = 10_000,
-        seed: int = 0,
-    ) -> RobustModel:
-        """Fundamental matrix; see :func:`sfmkit.estimation.opencv.estimate_fundamental`."""
-        _check(name, x1, x2, method)
-        found = fit(
-            module, "fundamental", x1, x2, None, threshold_px, confidence, max_iterations, seed
-        )
-        result = _result(found, lambda F: squared_sampson_distance(F, x1, x2), x1, threshold_px)
-        return supported(result, x1, x2, _LEAST["fundamental"], threshold_px)
-
-    def estimate_homography(
-        x1: Tensor,
-        x2: Tensor,
-        *,
-        threshold_px: float = 1.0,
-        method: str = "loransac",
-        confidence: float = 0.9999,
-        max_iterations: int = 10_000,
-        seed: int = 0,
-    ) -> RobustModel:
-        """Homography; see :func:`sfmkit.estimation.opencv.estimate_homography`."""
-        _check(name, x1, x2, method)
-        found = fit(
-            module, "homography", x1, x2, None, threshold_px, confidence, max_iterations, seed
-        )
-        result = _result(found, lambda H: homography_sampson(H, x1, x2), x1, threshold_px)
-        return supported(result, x1, x2, _LEAST["homography"], threshold_px)
-
-    return SimpleNamespace(
-        estimate_essential=estimate_essential,
-        estimate_fundamental=estimate_fundamental,
-        estimate_homography=estimate_homography,
-    )
+    result = _result(found, square, x1, settings[0])
+    return supported(result, x1, x2, _LEAST[model], settings[0])
 
 
 def _installed(name: str) -> ModuleType:
@@ -114,14 +117,7 @@ def _installed(name: str) -> ModuleType:
         ) from error
 
 
-def _check(name: str, x1: Tensor, x2: Tensor, method: str) -> None:
-    check_points(x1=x1, x2=x2)
-    if method != "loransac":
-        raise InputError(f"the {name} back end has no method {method!r}; it has loransac")
-
-
 _LEAST = {"essential": 5, "fundamental": 8, "homography": 4}
-Found = tuple[np.ndarray | None, int]
 
 
 def _poselib(
@@ -157,7 +153,7 @@ def _poselib(
 def _camera(K: Tensor) -> dict[str, Any]:
     """An ideal pinhole, as both libraries describe it: without skew."""
     if float(K[0, 1]) != 0:
-        raise InputError("peers know no skew: K[0, 1] must be zero")
+        raise InputError("PoseLib and pycolmap do not support skew: K[0, 1] must be zero")
     fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     size = max(1, int(2 * cx) + 1), max(1, int(2 * cy) + 1)
     return {"model": "PINHOLE", "width": size[0], "height": size[1], "params": [fx, fy, cx, cy]}

@@ -21,9 +21,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
 from ..geometry.homography import homography_sampson
 from ..geometry.homography_refinement import refine_homography
+from ..options import PlanarOptions
 from ..types import Correspondences, FrozenMapping
 from . import opencv
 from ._problems import HomographyProblem
@@ -37,31 +37,6 @@ _CERTAIN = -40.0  # log10 of the false alarms at which no longer prefix is searc
 _DISTINCT_PX = 6.0  # matches nearer than this in both images are one piece of evidence
 # the search's threshold over the fit's: minimal samples are inexact, and scenes not quite planar
 _LOOSE = 2.0
-
-
-@dataclass(frozen=True)
-class PlanarOptions:
-    """How a homography is estimated.
-
-    Attributes:
-        method: ``prefixes`` (ours), or ``ransac``: OpenCV's on all matches, which is what the paper
-            does.
-        threshold_px: Sampson distance beyond which a match does not count, pixels.
-        guided: match again near the predicted positions, and fit to that.
-    """
-
-    method: str = "prefixes"
-    threshold_px: float = 3.0
-    guided: bool = True
-
-    def __post_init__(self) -> None:
-        if self.method not in ("prefixes", "ransac"):
-            raise InputError(f"method must be 'prefixes' or 'ransac', not {self.method!r}")
-        if not self.threshold_px > 0:
-            raise InputError(f"threshold_px must be positive pixels, not {self.threshold_px}")
-
-
-PAPER_PLANAR = PlanarOptions(method="ransac", guided=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +99,10 @@ def _ransac(
     x1: Tensor, x2: Tensor, threshold: float, seed: int, generator: torch.Generator
 ) -> tuple[Tensor | None, dict[str, float]]:
     """OpenCV's RANSAC at OpenCV's defaults, whatever the order of the matches."""
-    fit = opencv.estimate_homography(
+    fit = opencv.estimate(
         x1,
         x2,
+        model="homography",
         threshold_px=threshold,
         method="ransac",
         confidence=0.995,

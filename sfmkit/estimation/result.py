@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from ..errors import InputError
+from ..geometry._checks import check_intrinsics, check_points
 from ..types import Improvement
 
 
@@ -36,6 +38,42 @@ class RobustModel:
     def failed(cls, n: int, iterations: int = 0, device: torch.device | str = "cpu") -> RobustModel:
         """No model for n matches."""
         return cls(None, torch.zeros(n, dtype=torch.bool, device=device), 0.0, iterations)
+
+    def to(self, device: torch.device | str) -> RobustModel:
+        """The same result with its tensors on another device."""
+        return replace(
+            self,
+            model=None if self.model is None else self.model.to(device),
+            inliers=self.inliers.to(device),
+            history=tuple(replace(i, model=i.model.to(device)) for i in self.history),
+        )
+
+
+KINDS = ("essential", "fundamental", "homography")
+
+
+def check_model(model: str, x1: Tensor, x2: Tensor, K1: Tensor | None, K2: Tensor | None) -> None:
+    """Check what every built-in estimator gets.
+
+    Args:
+        model: one of KINDS.
+        x1, x2: (N, 2) pixels.
+        K1, K2: (3, 3), needed for the essential matrix.
+
+    Raises:
+        InputError: unknown model, no intrinsics for E, wrong shapes or dtypes, NaN.
+    """
+    if model not in KINDS:
+        raise InputError(f"there is no model {model!r}; there are {', '.join(KINDS)}")
+    check_points(0, None, x1=x1, x2=x2)
+    if x1.ndim != 2:
+        raise InputError(
+            f"robust estimation takes one set of matches (N, 2), not {tuple(x1.shape)}"
+        )
+    if model == "essential":
+        if K1 is None or K2 is None:
+            raise InputError("the essential matrix needs the intrinsics K1 and K2")
+        check_intrinsics(x1, K1=K1, K2=K2)
 
 
 def supported(

@@ -12,19 +12,20 @@ Source: Barath et al., MAGSAC++, CVPR 2020 (score); Chum, Matas & Kittler, Local
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry._checks import check_intrinsics, check_points
+from ..geometry._checks import check_points
 from ..geometry.fundamental import fundamental_from_essential, sampson_distance
 from ..geometry.losses import marginal_score
 from ..types import Improvement
 from ._agreement import disagreement
-from ._problems import ALL, EssentialProblem, FundamentalProblem, HomographyProblem, Problem
+from ._problems import ALL, EssentialProblem, FundamentalProblem, HomographyProblem, SearchProblem
 from ._sampling import Sampler
-from .result import RobustModel, supported
+from .result import RobustModel, check_model, supported
 
 METHODS = ("magsac",)
 
@@ -39,26 +40,33 @@ _LOCAL = 2048  # matches that the best of a round are fitted to
 _LOCAL_BEST, _LOCAL_STEPS = 3, 4
 
 
-def estimate_essential(
+def estimate(
     x1: Tensor,
     x2: Tensor,
-    K1: Tensor,
-    K2: Tensor,
+    K1: Tensor | None = None,
+    K2: Tensor | None = None,
     *,
+    model: str = "essential",
     threshold_px: float = 1.0,
-    method: str = "magsac",
+    method: str | None = None,
     confidence: float = 0.9999,
     max_iterations: int = 10_000,
     seed: int = 0,
     weights: Tensor | None = None,
     ratio: Tensor | None = None,
     groups: Tensor | None = None,
+    device: torch.device | str | None = None,
 ) -> RobustModel:
-    """Essential matrix ``xn2^T E xn1 = 0`` that the matches support best.
+    """Estimate the E, F or H that the matches support best.
+
+    On a scene with a dominant plane F is not determined, and what is returned may fit the plane
+    only; E, with known cameras, is.
 
     Args:
         x1, x2: (N, 2) undistorted pixels, float32 or float64.
-        K1, K2: (3, 3).
+        K1, K2: (3, 3) intrinsics; for the essential matrix only.
+        model: ``essential`` (``xn2^T E xn1 = 0``), ``fundamental`` (``x2^T F x1 = 0``) or
+            ``homography`` (``x2 = H x1``).
         threshold_px: Sampson distance beyond which a match does not count, pixels.
         method: ``magsac`` is the only one.
         confidence: stop when a better model was missed with a probability below 1 - confidence.
@@ -68,20 +76,40 @@ def estimate_essential(
         ratio: (N,) distance ratios; samples are drawn from the smallest first.
         groups: (N,) int64, such as the operator of each match: groups that turn out to hold more
             inliers are drawn more.
+        device: where to compute; the device of `x1` by default. The result is on that of `x1`.
 
     Returns:
-        RobustModel with E of Frobenius norm √2, refined; no model when there are fewer than 6
-        matches, or none was found, or its inliers are fewer than 6 but for copies, or lie on one
-        line.
+        RobustModel with E of Frobenius norm √2, F or H, refined. There is no model when there are
+        fewer than 6 (E), 8 (F) or 5 (H) matches, or none was found, or its inliers without
+        duplicates are fewer than that, or lie on one line.
 
     Raises:
-        InputError: shapes, dtypes, NaN, an unknown method.
+        InputError: shapes, dtypes, NaN, an unknown model or method.
     """
-    check_intrinsics(x1, K1=K1, K2=K2)
-    _check(x1, x2, method, threshold_px, weights, ratio, groups)
-    K1, K2 = K1.detach().double(), K2.detach().double()
+    check_model(model, x1, x2, K1, K2)
+    _check(x1, method, threshold_px, weights, ratio, groups)
+    if device is not None and torch.device(device).type != x1.device.type:
+        K1, K2, weights = (None if a is None else a.to(device) for a in (K1, K2, weights))
+        found = estimate(
+            x1.to(device),
+            x2.to(device),
+            K1,
+            K2,
+            model=model,
+            threshold_px=threshold_px,
+            confidence=confidence,
+            max_iterations=max_iterations,
+            seed=seed,
+            weights=weights,
+            ratio=ratio,
+            groups=groups,
+        )
+        return found.to(x1.device)
+    make, minimum = _PROBLEMS[model]
+    if K1 is not None and K2 is not None:
+        K1, K2 = K1.detach().double(), K2.detach().double()
     return _search(
-        lambda a, b, w: EssentialProblem(a, b, K1, K2, threshold_px, w),
+        lambda a, b, w: make(a, b, K1, K2, threshold_px, w),
         x1,
         x2,
         weights,
@@ -91,76 +119,17 @@ def estimate_essential(
         confidence,
         max_iterations,
         seed,
-        minimum=6,
+        minimum=minimum,
     )
 
 
-def estimate_fundamental(
-    x1: Tensor,
-    x2: Tensor,
-    *,
-    threshold_px: float = 1.0,
-    method: str = "magsac",
-    confidence: float = 0.9999,
-    max_iterations: int = 10_000,
-    seed: int = 0,
-    weights: Tensor | None = None,
-    ratio: Tensor | None = None,
-    groups: Tensor | None = None,
-) -> RobustModel:
-    """Fundamental matrix ``x2^T F x1 = 0``, pixels; arguments as for :func:`estimate_essential`.
-
-    No model when there are fewer than 8 matches. On a scene with a dominant plane F is not
-    determined, and what is
-    returned may fit the plane only: E, from known cameras, does not have that weakness.
-    """
-    _check(x1, x2, method, threshold_px, weights, ratio, groups)
-    return _search(
-        lambda a, b, w: FundamentalProblem(a, b, threshold_px, w),
-        x1,
-        x2,
-        weights,
-        ratio,
-        groups,
-        threshold_px,
-        confidence,
-        max_iterations,
-        seed,
-        minimum=8,
-    )
-
-
-def estimate_homography(
-    x1: Tensor,
-    x2: Tensor,
-    *,
-    threshold_px: float = 1.0,
-    method: str = "magsac",
-    confidence: float = 0.9999,
-    max_iterations: int = 10_000,
-    seed: int = 0,
-    weights: Tensor | None = None,
-    ratio: Tensor | None = None,
-    groups: Tensor | None = None,
-) -> RobustModel:
-    """Homography ``x2 = H x1``, pixels; arguments as for :func:`estimate_essential`.
-
-    No model when there are fewer than 5 matches.
-    """
-    _check(x1, x2, method, threshold_px, weights, ratio, groups)
-    return _search(
-        lambda a, b, w: HomographyProblem(a, b, threshold_px, w),
-        x1,
-        x2,
-        weights,
-        ratio,
-        groups,
-        threshold_px,
-        confidence,
-        max_iterations,
-        seed,
-        minimum=5,
-    )
+# problem and least number of matches; one more than a minimal sample has, and the eight of the
+# linear fit of F
+_PROBLEMS: dict[str, tuple[Callable[..., SearchProblem], int]] = {
+    "essential": (EssentialProblem, 6),
+    "fundamental": (lambda a, b, K1, K2, t, w: FundamentalProblem(a, b, t, w), 8),
+    "homography": (lambda a, b, K1, K2, t, w: HomographyProblem(a, b, t, w), 5),
+}
 
 
 def essential_score(
@@ -175,7 +144,7 @@ def essential_score(
     """Summed marginal score of E (*B, 3, 3) over matches (*B, N, 2), weighted; differentiable in
     everything.
 
-    What :func:`estimate_essential` maximises. Between 0 and the sum of the weights.
+    What :func:`estimate` maximises. Between 0 and the sum of the weights.
     """
     square = sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2
     score = marginal_score(square, threshold_px)
@@ -184,19 +153,15 @@ def essential_score(
 
 def _check(
     x1: Tensor,
-    x2: Tensor,
-    method: str,
+    method: str | None,
     threshold_px: float,
     weights: Tensor | None,
     ratio: Tensor | None,
     groups: Tensor | None,
 ) -> None:
-    check_points(0, weights, x1=x1, x2=x2)
-    if x1.ndim != 2:
-        raise InputError(
-            f"robust estimation takes one set of matches (N, 2), not {tuple(x1.shape)}"
-        )
-    if method not in METHODS:
+    if weights is not None:
+        check_points(0, weights, x1=x1)
+    if method is not None and method not in METHODS:
         raise InputError(
             f"the torch back end has no method {method!r}; it has {', '.join(METHODS)}"
         )
@@ -233,7 +198,7 @@ def _search(
 
     weights = shuffled(weights)
     first, second = x1.detach()[shuffle.to(x1.device)], x2.detach()[shuffle.to(x2.device)]
-    problem: Problem = make(
+    problem: SearchProblem = make(
         first.double(), second.double(), None if weights is None else weights.double()
     )
     sampler = Sampler(n, problem.sample_size, generator, weights, shuffled(ratio), shuffled(groups))
@@ -255,7 +220,7 @@ def _search(
 
 
 def _explore(
-    problem: Problem, sampler: Sampler, confidence: float, max_iterations: int
+    problem: SearchProblem, sampler: Sampler, confidence: float, max_iterations: int
 ) -> tuple[Tensor | None, int, list[Improvement]]:
     """The best model of the search, the samples it took, and how the best improved."""
     n = len(problem.x1)

@@ -4,7 +4,6 @@ scene shows."""
 from __future__ import annotations
 
 from dataclasses import replace
-from types import ModuleType
 from typing import Any
 
 import torch
@@ -29,26 +28,13 @@ from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
 from ..types import Camera, Correspondences, Improvement, TwoView, Verdict
 from . import opencv
+from .plugins import run_estimator
 from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, judge
 
 # The search for a competing plane: a plane that matters is found in far fewer samples than a full
 # search would take.
 PLANE_ITERATIONS = 2_000
-
-
-def backend(name: str) -> ModuleType:
-    """The module of a back end; all offer estimate_essential, and most estimate_fundamental and
-    estimate_homography."""
-    if name == "torch":
-        from . import robust
-
-        return robust
-    if name == "opencv":
-        return opencv
-    from . import peers
-
-    return peers.backend(name)
 
 
 def undistorted_pixels(
@@ -67,12 +53,14 @@ def estimate_two_view(
     options: EstimateOptions | None = None,
     *,
     seed: int = 0,
+    device: Any = None,
 ) -> TwoView:
     """Estimate how camera 2 stands to camera 1, and judge whether the matches can tell.
 
     Args:
         corr: N correspondences in pixels of the photographs.
         options: model, back end and threshold.
+        device: for estimators that take one.
 
     Returns:
         A :class:`TwoView`. Too few matches, or matches that agree no better than chance, are the
@@ -99,7 +87,11 @@ def estimate_two_view(
 
     # Copies of a few matches must not pass for many: chance is judged by their number.
     fit = supported(
-        robust_fit(x1, x2, K1, K2, corr, options, seed), x1, x2, MIN_MATCHES, options.threshold_px
+        robust_fit(x1, x2, K1, K2, corr, options, seed, device),
+        x1,
+        x2,
+        MIN_MATCHES,
+        options.threshold_px,
     )
     history = fit.history
     if fit.model is None:
@@ -121,8 +113,13 @@ def estimate_two_view(
     else:
         F, inliers = fit.model, fit.inliers
 
-    plane = opencv.estimate_homography(
-        x1, x2, threshold_px=options.threshold_px, seed=seed, max_iterations=PLANE_ITERATIONS
+    plane = opencv.estimate(
+        x1,
+        x2,
+        model="homography",
+        threshold_px=options.threshold_px,
+        seed=seed,
+        max_iterations=PLANE_ITERATIONS,
     )
     # The competing explanations are compared at their best: a carelessly fitted F would lose to a
     # plane.
@@ -233,28 +230,32 @@ def robust_fit(
     corr: Correspondences,
     options: EstimateOptions,
     seed: int,
+    device: Any = None,
 ) -> RobustModel:
-    """E, or F where the options say so, by their back end.
+    """E, or F where the options say so, by their estimator.
 
-    Ours is told what the matches know of themselves: their distance ratios order the sampling, and
-    how reliable each operator is here is learned on the way.
+    The estimator gets the distance ratios of the matches and their operators; ours orders its
+    samples by the former and learns the share of inliers of the latter.
     """
-    engine = backend(options.backend)
-    settings: dict[str, Any] = {
-        "threshold_px": options.threshold_px,
-        "confidence": options.confidence,
-        "max_iterations": options.max_iterations,
-        "seed": seed,
-    }
-    if options.backend == "torch":
-        settings |= {"ratio": corr.ratio, "groups": corr.operator_id}
-    if options.method is not None:
-        settings["method"] = options.method
+    fit = run_estimator(
+        options.backend,
+        x1,
+        x2,
+        K1,
+        K2,
+        model=options.model,
+        method=options.method,
+        threshold_px=options.threshold_px,
+        confidence=options.confidence,
+        max_iterations=options.max_iterations,
+        seed=seed,
+        ratio=corr.ratio,
+        groups=corr.operator_id,
+        device=device,
+    )
     if options.model == "fundamental":
-        return refit_8point(
-            engine.estimate_fundamental(x1, x2, **settings), x1, x2, options.threshold_px
-        )
-    return engine.estimate_essential(x1, x2, K1, K2, **settings)
+        return refit_8point(fit, x1, x2, options.threshold_px)
+    return fit
 
 
 def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) -> RobustModel:

@@ -29,7 +29,7 @@ from ..datasets.strecha import strecha
 from ..datasets.synthetic import SyntheticPair, render
 from ..errors import InputError
 from ..estimation import adjust, estimate_two_view
-from ..features.tables import operator_spec
+from ..features import OPERATOR_PLUGINS
 from ..geometry.fundamental import fundamental_from_pose, sampson_distance
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
@@ -91,7 +91,7 @@ def bench_fountain(
         InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with
             other settings.
     """
-    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     if not operators:
         raise InputError("name at least one operator")
     if seeds < 1:

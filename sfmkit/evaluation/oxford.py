@@ -23,9 +23,7 @@ from .._version import __version__
 from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
 from ..errors import InputError
-from ..estimation.planar import PAPER_PLANAR, PlanarOptions
-from ..features import detect
-from ..features.tables import operator_spec
+from ..features import OPERATOR_PLUGINS, detect
 from ..geometry.homography import homography_sampson
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import read_image
@@ -38,7 +36,7 @@ from ..metrics import (
     mean_matching_accuracy,
     repeatability,
 )
-from ..options import DEFAULT, PAPER
+from ..options import DEFAULT, PAPER, Options
 from ..pipeline.account import ALL
 from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, FeaturePairs
 from ..pipeline.registration import fuse_all, register_matches
@@ -82,7 +80,7 @@ def bench_oxford(
         InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other
             settings.
     """
-    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     if not operators:
         raise InputError("name at least one operator")
     if seeds < 1:
@@ -190,10 +188,7 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
     single = [(name, {name: features[name]}, {name: matches[name]}) for name in operators]
     both = [*single, (ALL, features, matches)] if len(operators) > 1 else single
     for name, mine, theirs in both:
-        for recipe, options, planar in (
-            (OURS, DEFAULT, PlanarOptions()),
-            (PAPERS, PAPER, PAPER_PLANAR),
-        ):
+        for recipe, options in ((OURS, DEFAULT), (PAPERS, PAPER)):
             fused = fuse_all(mine, theirs, options.fuse)
             for seed in range(seeds):
                 rows.append(
@@ -203,7 +198,7 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
                         "operator": name,
                         "recipe": recipe,
                         "seed": seed,
-                        **_estimate(mine, theirs, fused, pair.H, planar, seed),
+                        **_estimate(mine, theirs, fused, pair.H, options, seed),
                     }
                 )
     return rows
@@ -214,11 +209,11 @@ def _estimate(
     matches: dict[str, Matches],
     fused: Correspondences,
     H_true: np.ndarray,
-    planar: PlanarOptions,
+    options: Options,
     seed: int,
 ) -> Row:
     began = time.perf_counter()
-    result = register_matches(features, matches, planar=planar, seed=seed, fused=fused)
+    result = register_matches(features, matches, options=options, seed=seed, fused=fused)
     seconds = time.perf_counter() - began
     size_wh = next(iter(features.values()))[0].size_wh
     H = None if result.H is None else result.H.numpy()

@@ -17,7 +17,7 @@ from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.uav import uav
 from ..errors import InputError, SfmError
-from ..features.tables import operator_spec
+from ..features import OPERATOR_PLUGINS
 from ..geometry.reprojection import project
 from ..io.cameras import camera_from_exif
 from ..io.images import read_image
@@ -140,7 +140,7 @@ def bench_uav(
         InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with
             other settings.
     """
-    operators = tuple(dict.fromkeys(operator_spec(name).name for name in operators))
+    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     for name in presets:
         if name not in PRESETS:
             raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")

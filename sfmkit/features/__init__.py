@@ -1,6 +1,7 @@
 """Stage 1, image -> Features: detectors and descriptors behind one call."""
 
 from .operators import OperatorInfo, available, detect, list_operators
+from .plugins import OPERATOR_PLUGINS, Operator, register_operator, run_operator
 from .selection import select_evenly
 from .tables import (
     DESCRIPTORS,
@@ -9,20 +10,24 @@ from .tables import (
     DescriptorSpec,
     DetectorSpec,
     OperatorSpec,
-    operator_spec,
+    find_spec,
 )
 
 __all__ = [
     "DESCRIPTORS",
     "DETECTORS",
     "OPERATORS",
+    "OPERATOR_PLUGINS",
     "DescriptorSpec",
     "DetectorSpec",
+    "Operator",
     "OperatorInfo",
     "OperatorSpec",
     "available",
     "detect",
+    "find_spec",
     "list_operators",
-    "operator_spec",
+    "register_operator",
+    "run_operator",
     "select_evenly",
 ]

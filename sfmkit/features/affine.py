@@ -12,14 +12,19 @@ Imaging Sciences 2009.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
+from .._utils.registry import accepted
 from ..errors import InputError
 from ..types import Features
+from .bounds import TILTS
+
+AFFINE = "affine-"  # before the name of the operator
 
 # blur against aliasing before an axis is compressed t times: this times sqrt(t² - 1), as in the
 # paper
@@ -38,14 +43,14 @@ def views(tilts: int) -> Iterator[tuple[float, float]]:
             yield t, math.radians(step * 72 / t)
 
 
-def tilted(grey: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tilted(image: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The view at tilt `t` in the direction `phi`.
 
     Returns:
-        image (h, w) uint8; the (2, 3) affine map from `grey` into it; mask (h, w), 0 where it shows
+        image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0 where it shows
         nothing.
     """
-    h, w = grey.shape
+    h, w = image.shape[:2]
     c, s = math.cos(phi), math.sin(phi)
     R = np.array([[c, -s], [s, c]])
     corners = np.array([[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]]) @ R.T
@@ -53,64 +58,104 @@ def tilted(grey: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndarr
     size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
     turn = np.column_stack([R, -low])
     turned = cv2.warpAffine(
-        grey, turn, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        image, turn, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    inside = cv2.warpAffine(np.full_like(grey, 255), turn, size, flags=cv2.INTER_NEAREST)
+    inside = cv2.warpAffine(np.full((h, w), 255, np.uint8), turn, size, flags=cv2.INTER_NEAREST)
     if t == 1.0:
         return turned, turn, inside
     turned = cv2.GaussianBlur(turned, (0, 0), sigmaX=_PREFILTER * math.sqrt(t * t - 1), sigmaY=0.01)
     squeeze = np.array([[1 / t, 0, 0], [0, 1, 0.0]])
     small = (max(1, int(size[0] / t)), size[1])
-    image = cv2.warpAffine(
+    view = cv2.warpAffine(
         turned, squeeze, small, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     mask = cv2.warpAffine(inside, squeeze, small, flags=cv2.INTER_NEAREST)
-    return image, np.diag([1 / t, 1.0]) @ turn, mask
+    return view, np.diag([1 / t, 1.0]) @ turn, mask
 
 
-def detect_affine(image: Any, operator: str, *, tilts: int = 2, **options: Any) -> Features:
-    """Features of an image and of its simulated views, in the pixels of the image.
+@dataclass(frozen=True)
+class AffineOperator:
+    """Any operator on an image and on simulated oblique views of it.
 
-    Args:
-        image, operator, options: as for :func:`sfmkit.detect`.
-        tilts: steps of sqrt(2) in tilt; 2 (up to 2, a view 60 degrees off the normal) take 10
-            views, 3 take 18.
-
-    Returns:
-        The features of all views. Scales are those in the image (root of the area), angles are 0:
-        they mean nothing after a tilt. ``operator`` is ``affine-<operator>``.
-
-    Raises:
-        InputError: tilts out of range, and what :func:`sfmkit.detect` raises.
+    Attributes:
+        base: the operator, see :class:`sfmkit.features.plugins.Operator`.
     """
-    from .operators import _grey, detect
 
-    if not 0 <= tilts <= 6:
-        raise InputError(f"tilts must be a whole number from 0 to 6, not {tilts!r}")
-    grey = _grey(image)
-    h, w = grey.shape
-    parts = []
-    for t, phi in views(tilts):
-        view, A, mask = tilted(grey, t, phi)
-        f = detect(view, operator, **options)
-        distance = cv2.distanceTransform(np.pad((mask > 0).astype(np.uint8), 1), cv2.DIST_L2, 3)[
-            1:-1, 1:-1
-        ]
-        at = np.rint(f.keypoints).astype(np.int64).clip(0, (view.shape[1] - 1, view.shape[0] - 1))
-        f = f.take(np.flatnonzero(distance[at[:, 1], at[:, 0]] > _MARGIN * f.scales / 2))
-        xy = (f.keypoints - A[:, 2]) @ np.linalg.inv(A[:, :2]).T
-        parts.append((xy.clip(0, (w - 1, h - 1)), f.scales * math.sqrt(t), f))
-    fs = [f for *_, f in parts]
-    laplacian = None if fs[0].laplacian is None else np.concatenate([f.laplacian for f in fs])  # type: ignore[misc]
-    n = sum(len(f) for f in fs)
-    return Features(
-        np.concatenate([xy for xy, *_ in parts]).astype(np.float32),
-        np.concatenate([s for _, s, _ in parts]).astype(np.float32),
-        np.zeros(n, np.float32),
-        np.concatenate([f.scores for f in fs]),
-        np.concatenate([f.descriptors for f in fs]),
-        fs[0].norm,
-        f"affine-{fs[0].operator}",
-        (w, h),
-        laplacian,
-    )
+    base: Callable[..., Features]
+
+    @property
+    def __wrapped__(self) -> Callable[..., Features]:
+        """The operator, for :func:`inspect.unwrap`."""
+        return self.base
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Every option with its default: those of the base operator, and ``tilts``."""
+        return {**getattr(self.base, "options", {}), "tilts": 2}
+
+    def __call__(
+        self,
+        image: np.ndarray,
+        *,
+        tilts: int = 2,
+        preset: str = "default",
+        device: Any = None,
+        **options: Any,
+    ) -> Features:
+        """Features of an image and of its simulated views, in the pixels of the image.
+
+        Args:
+            image: (H, W, 3) or (H, W) uint8.
+            tilts: steps of sqrt(2) in tilt; 2 (up to 2, a view 60 degrees off the normal) take 10
+                views, 3 take 18.
+            preset, device: for base operators that take them.
+            options: of the base operator.
+
+        Returns:
+            The features of all views. Scales are those in the image (root of the area), angles are
+            0: they have no meaning after a tilt.
+
+        Raises:
+            InputError: tilts out of range, and what the base operator raises.
+        """
+        low, high = TILTS
+        whole = isinstance(tilts, (int, np.integer)) and not isinstance(tilts, bool)
+        if not whole or not low <= tilts <= high:
+            raise InputError(f"'tilts' must be a whole number from {low} to {high}, not {tilts!r}")
+        common = accepted(self.base, {"preset": preset, "device": device}, rest=False)
+        h, w = image.shape[:2]
+        parts = []
+        for t, phi in views(tilts):
+            view, A, mask = tilted(image, t, phi)
+            f = self.base(view, **common, **options)
+            f = f.take(_inside(f, mask))
+            xy = (f.keypoints - A[:, 2]) @ np.linalg.inv(A[:, :2]).T
+            parts.append(
+                replace(
+                    f,
+                    keypoints=xy.clip(0, (w - 1, h - 1)).astype(np.float32),
+                    scales=(f.scales * math.sqrt(t)).astype(np.float32),
+                    angles=np.zeros(len(f), np.float32),
+                    size_wh=(w, h),
+                )
+            )
+        return _joined(parts)
+
+
+def _inside(f: Features, mask: np.ndarray) -> np.ndarray:
+    """Rows of the features that lie farther than their neighbourhood from the edge of the mask."""
+    padded = np.pad((mask > 0).astype(np.uint8), 1)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1]
+    size = mask.shape[1] - 1, mask.shape[0] - 1
+    at = np.rint(f.keypoints).astype(np.int64).clip(0, size)
+    return np.flatnonzero(distance[at[:, 1], at[:, 0]] > _MARGIN * f.scales / 2)
+
+
+def _joined(parts: list[Features]) -> Features:
+    names = ["keypoints", "scales", "angles", "scores", "descriptors"]
+    if parts[0].laplacian is not None:
+        names.append("laplacian")
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(f, name) for f in parts]) for name in names
+    }
+    return replace(parts[0], **columns)

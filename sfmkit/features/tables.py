@@ -1,7 +1,7 @@
 """What the operators are: literal tables of detectors, descriptors and named pairs of the two.
 
 An operator is a detector (where?) with a descriptor (what does it look like?). :data:`OPERATORS`
-names the usual pairs; any other ``detector+descriptor`` is put together by :func:`operator_spec`
+names the usual pairs; any other ``detector+descriptor`` is put together by :func:`find_spec`
 from :data:`DETECTORS` and :data:`DESCRIPTORS`. Options of OpenCV's operators keep OpenCV's names,
 so that its manual applies.
 """
@@ -9,7 +9,7 @@ so that its manual applies.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import OperatorError
@@ -32,11 +32,16 @@ class DetectorSpec:
     Attributes:
         create: its factory below ``cv2``; None for one of our own.
         options: its options with our defaults.
+        function: of one of our own, ``module:name`` in this package:
+            ``(grey, *, device, **options) -> Features``.
+        fixed: options of the factory that are always set to this value.
         fast_size: a keypoint's size times this is the diameter that FAST would give (7 pixels for a
             corner at full resolution). OpenCV's detectors mean different things by `size`; its
             descriptors are made for FAST's.
         integer: positions are whole pixels, refined when `subpixel` is on.
         oriented: gives keypoints an orientation.
+        only_with: the only descriptor that can describe its keypoints; None for any.
+        why: the reason for `only_with`.
         min_side: images with a shorter side than this hold no keypoint (OpenCV fails or crashes on
             them).
         licence: of the implementation, and patents.
@@ -44,9 +49,13 @@ class DetectorSpec:
 
     create: str | None
     options: Options = field(default_factory=dict)
+    function: str | None = None
+    fixed: Options = field(default_factory=dict)
     fast_size: float = 1.0
     integer: bool = False
     oriented: bool = False
+    only_with: str | None = None
+    why: str = ""
     min_side: int = 3
     licence: str = OPENCV
 
@@ -60,6 +69,15 @@ class DescriptorSpec:
         norm: how two descriptors are compared.
         width: length in floats (norm l2) or bits (norm hamming), at default options.
         options: its options with our defaults.
+        function: of one of our own, ``module:name`` in this package:
+            ``(grey, xy, sizes, angles, *, device, **options) -> descriptors``.
+        fixed: options of the factory that are always set to this value.
+        native: the detector with which it is one operator; the detector of the same name unless
+            given.
+        size: the described neighbourhood of our own descriptors, as a multiple of FAST's size.
+        hellinger: compare by the Hellinger kernel in place of L2.
+        reads_octave: takes the scale from the keypoint's octave, not from its size.
+        reads_missing_angle: finds an orientation only where the keypoint has none (-1).
         margin: keypoints closer than this to the border, in pixels, are dropped; 0 where it depends
             on their size.
         orients: finds the orientation itself, whatever the detector said.
@@ -74,6 +92,13 @@ class DescriptorSpec:
     norm: Norm
     width: int
     options: Options = field(default_factory=dict)
+    function: str | None = None
+    fixed: Options = field(default_factory=dict)
+    native: str | None = None
+    size: float = 1.0
+    hellinger: bool = False
+    reads_octave: bool = False
+    reads_missing_angle: bool = False
     margin: int = 0
     orients: bool = False
     rotates_by: str | None = None
@@ -113,7 +138,7 @@ class OperatorSpec:
     @property
     def is_pair(self) -> bool:
         """Whether detector and descriptor are two operators, run one after the other."""
-        return self.detector != self.descriptor.removeprefix("root")
+        return self.detector != (DESCRIPTORS[self.descriptor].native or self.descriptor)
 
 
 _SIFT: Options = {
@@ -131,6 +156,7 @@ DETECTORS: Mapping[str, DetectorSpec] = {
     "surf": DetectorSpec(
         None,
         {"hessian_threshold": 30.0, "octaves": 4, "layers": 3, "extended": False, "upright": False},
+        function="surf:surf",
         fast_size=1.25,
         oriented=True,
         licence=SURF_PATENT,
@@ -160,6 +186,7 @@ DETECTORS: Mapping[str, DetectorSpec] = {
             "qualityLevel": 1e-4,
             "k": 0.04,
         },  # a response of fourth order in the gradient, hence the square
+        fixed={"useHarrisDetector": True},
         fast_size=7 / 3,
         integer=True,
     ),
@@ -204,7 +231,12 @@ DETECTORS: Mapping[str, DetectorSpec] = {
         },
     ),
     "xfeat": DetectorSpec(
-        None, {"top_k": 4096, "detection_threshold": 0.05}, licence="Apache-2.0 (code and weights)"
+        None,
+        {"top_k": 4096, "detection_threshold": 0.05},
+        function="learned:xfeat",
+        only_with="xfeat",
+        why="xfeat's keypoints have no size to describe a patch by",
+        licence="Apache-2.0 (code and weights)",
     ),
 }
 
@@ -234,8 +266,18 @@ MOST: Mapping[str, str] = {
 _LEVELS = "it reads scale levels that only its own detector computes"
 
 DESCRIPTORS: Mapping[str, DescriptorSpec] = {
-    "surf": DescriptorSpec(None, "l2", 64, {"extended": False}, licence=SURF_PATENT),
-    "orb": DescriptorSpec("ORB_create", "hamming", 256, margin=31),
+    "surf": DescriptorSpec(
+        None,
+        "l2",
+        64,
+        {"extended": False},
+        function="surf:describe",
+        # SURF's own size per FAST's is 1/1.25 and FAST's peers read 5 of them; a little more than
+        # SURF's own 2.7 multiples is best on other detectors' keypoints
+        size=2.5,
+        licence=SURF_PATENT,
+    ),
+    "orb": DescriptorSpec("ORB_create", "hamming", 256, reads_octave=True, margin=31),
     "brief": DescriptorSpec(
         "xfeatures2d.BriefDescriptorExtractor_create",
         "hamming",
@@ -245,9 +287,17 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         rotates_by="use_orientation",
     ),
     "sift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
-    "rootsift": DescriptorSpec("SIFT_create", "l2", 128, licence=SIFT_PATENT),
+    "rootsift": DescriptorSpec(
+        "SIFT_create", "l2", 128, native="sift", hellinger=True, licence=SIFT_PATENT
+    ),
     "brisk": DescriptorSpec(
-        "xfeatures2d.BRISK_create", "hamming", 512, {"patternScale": 1.0}, orients=True
+        "xfeatures2d.BRISK_create",
+        "hamming",
+        512,
+        {"patternScale": 1.0},
+        fixed={"thresh": 30, "octaves": 3},
+        reads_missing_angle=True,
+        orients=True,
     ),
     "freak": DescriptorSpec(
         "xfeatures2d.FREAK_create",
@@ -291,8 +341,6 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
     ),
 }
 
-AFFINE = "affine-"  # before the name of any operator: see features/affine.py
-
 # Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an
 # answer.
 LEFT_OUT: Mapping[str, str] = {
@@ -308,7 +356,7 @@ def _pair(
 ) -> OperatorSpec:
     """An operator from its two rows; a name that both use is the detector's option."""
     where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
-    native = descriptor.removeprefix("root") == detector
+    native = detector == (what.native or descriptor)
     options = dict(where.options) if native else {**what.options, **where.options}
     paper = {}
     dense = {MOST[detector]: 2 * options[MOST[detector]]} if detector in MOST else {}
@@ -405,23 +453,14 @@ OPERATORS: Mapping[str, OperatorSpec] = {
 }
 
 
-def operator_spec(name: str) -> OperatorSpec:
-    """The named operator, or the pair that ``detector+descriptor`` asks for; ``affine-`` before it
-    simulates viewpoints.
+def find_spec(name: str) -> OperatorSpec:
+    """The named operator, or the pair that ``detector+descriptor`` names.
 
     Raises:
         OperatorError: unknown name (the nearest known one is suggested), or a pair that does not
             fit together.
     """
     name = str(name).strip().lower()
-    if name.startswith(AFFINE):
-        base = operator_spec(name.removeprefix(AFFINE))
-        return replace(
-            base,
-            name=AFFINE + base.name,
-            options={**base.options, "tilts": 2},
-            summary=f"{base.name} on the image and its simulated oblique views (Morel & Yu 2009)",
-        )
     if name in OPERATORS:
         return OPERATORS[name]
     detector, plus, descriptor = (part.strip() for part in name.partition("+"))
@@ -445,15 +484,14 @@ def operator_spec(name: str) -> OperatorSpec:
             raise OperatorError(
                 f"unknown {kind} '{part}' in '{name}'. Known: {', '.join(sorted(table))}"
             )
-    only, why = DESCRIPTORS[descriptor].only_with, DESCRIPTORS[descriptor].why
-    if only not in (None, detector):
+    where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
+    if what.only_with not in (None, detector):
         raise OperatorError(
-            f"'{name}' does not fit: {descriptor} describes {only} keypoints only, because {why}"
+            f"'{name}' does not fit: {descriptor} describes {what.only_with} keypoints only, "
+            f"because {what.why}"
         )
-    if detector == "xfeat" != descriptor:
-        raise OperatorError(
-            f"'{name}' does not fit: xfeat's keypoints have no size to describe a patch by"
-        )
+    if where.only_with not in (None, descriptor):
+        raise OperatorError(f"'{name}' does not fit: {where.why}")
     for spec in OPERATORS.values():
         if (spec.detector, spec.descriptor) == (detector, descriptor):
             return spec

@@ -3,5 +3,15 @@
 from .fusion import fuse
 from .guided import match_guided
 from .nearest import match
+from .plugins import MATCHER_PLUGINS, Matcher, choose_matchers, register_matcher, run_matcher
 
-__all__ = ["fuse", "match", "match_guided"]
+__all__ = [
+    "MATCHER_PLUGINS",
+    "Matcher",
+    "choose_matchers",
+    "fuse",
+    "match",
+    "match_guided",
+    "register_matcher",
+    "run_matcher",
+]

@@ -28,7 +28,7 @@ from ..geometry.triangulation import parallax, triangulate
 from ..io.cameras import camera_from_exif, parse_intrinsics
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
-from ..matching.nearest import match
+from ..matching.plugins import run_matcher
 from ..options import DEFAULT, DetectOptions, MatchOptions, Options, TriangulateOptions
 from ..types import Camera, Correspondences, Features, Matches, PointCloud, TwoView, Verdict
 from .account import OperatorAccount, make_account
@@ -145,16 +145,20 @@ def reconstruct(
             images = (read_image(image1), read_image(image2))
             cameras = choose_cameras(images, camera, camera2)
         with watch.stage("detect"):
-            features, dropped = detect_all(images, operators, options.detect, watch)
+            features, dropped = detect_all(
+                images, operators, options.detect, watch, device=options.device
+            )
         with watch.stage("match"):
-            matches = match_all(features, options.match, watch)
+            matches = match_all(features, options.match, watch, device=options.device)
         with watch.stage("fuse", "matches of all operators"):
             corr = fuse(
                 {name: (*features[name], matches[name]) for name in features},
                 merge_radius=options.fuse.merge_radius,
             )
         with watch.stage("estimate", "epipolar geometry and pose"):
-            two_view = estimate_two_view(corr, *cameras, options.estimate, seed=seed)
+            two_view = estimate_two_view(
+                corr, *cameras, options.estimate, seed=seed, device=options.device
+            )
         adjustment = None
         if options.estimate.refine:
             with watch.stage("refine", "pose and points together"):
@@ -230,6 +234,8 @@ def detect_all(
     operators: Sequence[str],
     options: DetectOptions,
     watch: Stopwatch | None = None,
+    *,
+    device: str | None = None,
 ) -> tuple[dict[str, tuple[Features, Features]], list[str]]:
     """Stage 1: every operator on both images.
 
@@ -260,6 +266,7 @@ def detect_all(
                     budget=options.budget,
                     max_size=options.max_size,
                     preset=options.preset,
+                    device=device,
                     **options.overrides.get(name, {}),
                 )
             )
@@ -270,20 +277,18 @@ def detect_all(
 
 
 def match_all(
-    features: FeaturePairs, options: MatchOptions, watch: Stopwatch | None = None
+    features: FeaturePairs,
+    options: MatchOptions,
+    watch: Stopwatch | None = None,
+    *,
+    device: str | None = None,
 ) -> dict[str, Matches]:
     """Stage 2: every operator's features matched with their own norm."""
     watch = watch or Stopwatch()
     matches = {}
     for name, (f1, f2) in features.items():
         watch.say("match", f"{name}, {len(f1):,} x {len(f2):,}")
-        matches[name] = match(
-            f1,
-            f2,
-            mutual=options.mutual,
-            max_ratio=options.max_ratio,
-            max_distance=options.max_distance,
-        )
+        matches[name] = run_matcher(f1, f2, options, operator=name, device=device)
     return matches
 
 

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..estimation.planar import PAPER_PLANAR, PlanarFit, PlanarOptions, estimate_planar
+from ..estimation.planar import PlanarFit, estimate_planar
 from ..geometry.homography import homography_sampson, transfer
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
 from ..matching.guided import match_guided
-from ..options import DEFAULT, FuseOptions, Options
+from ..options import DEFAULT, FuseOptions, Options, PlanarOptions
 from ..types import Correspondences, Matches, Verdict
 from .account import OperatorAccount, make_account
 from .reconstruction import (
@@ -88,7 +88,6 @@ def register(
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
     *,
     options: Options = DEFAULT,
-    planar: PlanarOptions | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Registration:
@@ -97,8 +96,7 @@ def register(
     Args:
         image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
         operators: names of operators, or ``detector+descriptor``.
-        options: of detection, matching and fusion.
-        planar: of the estimation; None for ours, or the paper's where `options` are the paper's.
+        options: of detection, matching, fusion and the homography (``planar``).
         seed: the same seed gives the same result on the same machine.
         progress: called with (stage, what is being done).
 
@@ -114,9 +112,7 @@ def register(
         features, notes = detect_all(images, operators, options.detect, watch)
     with watch.stage("match"):
         matches = match_all(features, options.match, watch)
-    result = register_matches(
-        features, matches, options=options, planar=planar, seed=seed, watch=watch
-    )
+    result = register_matches(features, matches, options=options, seed=seed, watch=watch)
     watch.seconds["total"] = time.perf_counter() - began
     return Registration(**{**vars(result), "timings_s": dict(watch.seconds), "notes": tuple(notes)})
 
@@ -126,7 +122,6 @@ def register_matches(
     matches: Mapping[str, Matches],
     *,
     options: Options = DEFAULT,
-    planar: PlanarOptions | None = None,
     seed: int = 0,
     watch: Stopwatch | None = None,
     fused: Correspondences | None = None,
@@ -134,7 +129,7 @@ def register_matches(
     """:func:`register` from the matches on, or from what they were fused to, for those who have
     them already."""
     watch = watch or Stopwatch()
-    planar = planar or (PAPER_PLANAR if options.name == "paper" else PlanarOptions())
+    planar = options.planar
     with watch.stage("fuse", "matches of all operators"):
         corr = fuse_all(features, matches, options.fuse) if fused is None else fused
     with watch.stage("estimate", "homography"):

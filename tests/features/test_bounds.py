@@ -13,7 +13,8 @@ import pytest
 from sfmkit.errors import InputError
 from sfmkit.features import detect
 from sfmkit.features.bounds import BOUNDS, bounds_of
-from sfmkit.features.tables import DESCRIPTORS, DETECTORS, operator_spec
+from sfmkit.features.plugins import OPERATOR_PLUGINS
+from sfmkit.features.tables import DESCRIPTORS, DETECTORS, find_spec
 
 # every detector and every descriptor once
 OPERATORS = [
@@ -28,9 +29,9 @@ IMAGE = np.zeros((20, 20), np.uint8)
 
 def cases(name: str) -> list[tuple[str, str, float]]:
     """(operator, option, value) at both ends of every option that is a number."""
-    spec = operator_spec(name)
+    spec = find_spec(name.removeprefix("affine-"))
     found = []
-    for option, default in spec.options.items():
+    for option, default in OPERATOR_PLUGINS.options(name).items():
         if isinstance(default, bool):
             continue
         for value in bounds_of(spec.detector, spec.descriptor, option):
@@ -95,7 +96,7 @@ def test_the_bounds_neither_crash_nor_hang(name):
 def test_every_part_and_every_number_has_bounds():
     assert set(BOUNDS) <= set(DETECTORS) | set(DESCRIPTORS)
     for name in OPERATORS:
-        spec = operator_spec(name)
+        spec = find_spec(name)
         for option, default in spec.options.items():
             if not isinstance(default, bool):
                 low, high = bounds_of(spec.detector, spec.descriptor, option)
@@ -104,7 +105,7 @@ def test_every_part_and_every_number_has_bounds():
 
 @pytest.mark.parametrize("name", OPERATORS)
 def test_beyond_the_bounds_is_refused_before_the_work(name):
-    spec = operator_spec(name)
+    spec = find_spec(name)
     for option, default in spec.options.items():
         if isinstance(default, bool):
             continue

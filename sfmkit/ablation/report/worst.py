@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, SfmError
-from ...estimation.planar import PAPER_PLANAR, PlanarOptions
 from ...io.images import Image, read_image
 from ...pipeline.reconstruction import Reconstruction, reconstruct
 from ...pipeline.registration import Registration, register
@@ -149,17 +148,12 @@ def run_again(case: Case, row: Row, progress: Callable[[str, str], None] | None 
     result: Reconstruction | Registration
     try:
         if case.pair["kind"] == "homography":
-            planar = PAPER_PLANAR if variant.preset == "paper" else PlanarOptions()
             changed = dict(variant.changes)
             if "threshold_px" in changed:
-                planar = replace(planar, threshold_px=changed["threshold_px"])
+                planar = replace(options.planar, threshold_px=changed["threshold_px"])
+                options = replace(options, planar=planar)
             result = register(
-                *images,
-                operators,
-                options=options,
-                planar=planar,
-                seed=row["seed"],
-                progress=progress,
+                *images, operators, options=options, seed=row["seed"], progress=progress
             )
             same = _same(((result.H, row["H"]),))
         else:

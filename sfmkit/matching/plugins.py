@@ -1,0 +1,131 @@
+"""The extension point of matchers: contract, registry and the choice of a matcher per operator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from .._utils.registry import Registry, accepted
+from ..options import MatchOptions
+from ..types import Features, Matches
+from .nearest import match
+
+F = TypeVar("F", bound=Callable)
+
+
+class Matcher(Protocol):
+    """A matcher of the features of two images.
+
+    A plug-in is a callable ``(features1, features2, **options) -> Matches``. A matcher with a
+    parameter ``mutual``, ``max_ratio``, ``max_distance`` or ``device`` gets the value of
+    :class:`~sfmkit.options.MatchOptions` or the torch device; its own options come from
+    ``MatchOptions.overrides``. The same input must give the same output.
+    """
+
+    def __call__(self, features1: Features, features2: Features, /, **options: Any) -> Matches:
+        """Match.
+
+        Args:
+            features1, features2: N1 and N2 features of one operator in image 1 and image 2.
+            options: The matcher's own options.
+
+        Returns:
+            M matches: rows of `features1` and `features2`, each pair at most once; the descriptor
+            distance or any other cost, smaller for a better match; the ratio of the best to the
+            second-best distance, NaN where the matcher has none.
+        """
+
+
+MATCHER_PLUGINS: Registry[Callable[..., Matches]] = Registry("matcher", "sfmkit.matchers")
+MATCHER_PLUGINS.register("nearest", match)
+
+
+def register_matcher(name: str, matcher: F) -> F:
+    """Make a matcher available under a name everywhere that matchers are named.
+
+    Args:
+        name: What the matcher is called in ``matchers=``, ``--matcher`` and reports.
+        matcher: A callable that obeys the contract of :class:`Matcher`.
+
+    Returns:
+        `matcher`.
+
+    Raises:
+        InputError: `matcher` is not callable, or the name is malformed or taken.
+    """
+    MATCHER_PLUGINS.register(name, matcher)
+    return matcher
+
+
+def matcher_of(operator: str, options: MatchOptions) -> str:
+    """The name of the matcher that the options choose for an operator."""
+    return options.matchers.get(operator, options.matcher)
+
+
+def choose_matchers(
+    options: MatchOptions, matchers: str | Mapping[str, str] | None
+) -> MatchOptions:
+    """The options with other matchers.
+
+    Args:
+        matchers: The name of a matcher for all operators; or operator -> matcher for some; None
+            changes nothing.
+    """
+    if matchers is None:
+        return options
+    if isinstance(matchers, str):
+        return replace(options, matcher=matchers, matchers={})
+    return replace(options, matchers={**options.matchers, **matchers})
+
+
+def run_matcher(
+    features1: Features,
+    features2: Features,
+    options: MatchOptions | None = None,
+    *,
+    operator: str | None = None,
+    device: Any = None,
+) -> Matches:
+    """Match by the matcher that the options choose, and check that its result obeys the contract.
+
+    Args:
+        features1, features2: N1 and N2 features of one operator.
+        operator: The name by which `options` choose; ``features1.operator`` unless given.
+        device: Passed to matchers that take it.
+
+    Raises:
+        InputError: there is no such matcher, it failed, or its result is wrong.
+    """
+    options = options or MatchOptions()
+    operator = features1.operator if operator is None else operator
+    name = matcher_of(operator, options)
+    common = {
+        "mutual": options.mutual,
+        "max_ratio": options.max_ratio,
+        "max_distance": options.max_distance,
+        "device": device,
+    }
+    own = options.overrides.get(operator, {})
+    settings = accepted(MATCHER_PLUGINS[name], common, rest=False) | dict(own)
+    found = MATCHER_PLUGINS.call(name, features1, features2, **settings)
+    reason = _fault(found, len(features1), len(features2))
+    if reason:
+        raise MATCHER_PLUGINS.reject(name, found, reason)
+    return found
+
+
+def _fault(found: Any, n1: int, n2: int) -> str:
+    """What is wrong with the result of a matcher; empty where nothing is."""
+    if not isinstance(found, Matches):
+        return "it must be Matches"
+    for field, n in (("index1", n1), ("index2", n2)):
+        rows = getattr(found, field)
+        if len(rows) and not (rows.min() >= 0 and rows.max() < n):
+            return f"{field} points outside the {n} features"
+    pairs = found.index1.astype(np.int64) * max(n2, 1) + found.index2
+    if len(np.unique(pairs)) < len(pairs):
+        return "a pair of features occurs more than once"
+    return ""
