@@ -126,7 +126,7 @@ class Registry(Generic[T]):
         plugin = self[name]
         if name not in self._registered or self.is_built_in(name):
             return name
-        module, qualname = _place(plugin)
+        module, qualname = _place(self._code(plugin))
         try:
             found = import_module(module)
             for part in qualname.split("."):
@@ -142,7 +142,7 @@ class Registry(Generic[T]):
 
     def is_built_in(self, name: str) -> bool:
         """Whether the plug-in is part of sfmkit."""
-        return _place(self[name])[0].split(".")[0] == "sfmkit"
+        return _place(self._code(self[name]))[0].split(".")[0] == "sfmkit"
 
     def provenance(self, name: str) -> str:
         """What identifies the plug-in's code: its distribution with version, and its source.
@@ -152,11 +152,15 @@ class Registry(Generic[T]):
         """
         if self.is_built_in(name):
             return f"sfmkit {__version__}"
-        module, qualname = _place(self[name])
+        module, qualname = _place(self._code(self[name]))
         top = module.split(".")[0]
         distributions = packages_distributions().get(top, [])
         known = ", ".join(f"{d} {version(d)}" for d in sorted(set(distributions)))
         return f"{known or module} {qualname} sha256:{_source_digest(top)}"
+
+    def _code(self, plugin: T) -> Callable:
+        """The callable whose source is the plug-in's; another than itself where it wraps one."""
+        return inspect.unwrap(plugin)
 
     @cached_property
     def _entry_points(self) -> dict[str, EntryPoint]:
@@ -178,7 +182,6 @@ def accepted(function: Callable, keywords: Mapping[str, Any], *, rest: bool) -> 
 
 def _place(plugin: Callable) -> tuple[str, str]:
     """Module and qualified name of a function, class or instance."""
-    plugin = inspect.unwrap(plugin)
     owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
     return owner.__module__, owner.__qualname__
 

@@ -84,11 +84,6 @@ class AffineOperator:
     base: Callable[..., Features]
 
     @property
-    def __wrapped__(self) -> Callable[..., Features]:
-        """The operator, for :func:`inspect.unwrap`."""
-        return self.base
-
-    @property
     def options(self) -> Mapping[str, Any]:
         """Every option with its default: those of the base operator, and ``tilts``."""
         return {**getattr(self.base, "options", {}), "tilts": 2}

@@ -99,6 +99,9 @@ class OperatorRegistry(Registry[Callable[..., Features]]):
             if p.name not in COMMON and p.default is not p.empty
         }
 
+    def _code(self, plugin: Callable) -> Callable:
+        return self._code(plugin.base) if isinstance(plugin, AffineOperator) else plugin
+
     def _spelling(self, name: str) -> str:
         """Built-in names are found whatever their case."""
         name = str(name).strip()
