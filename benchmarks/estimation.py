@@ -43,7 +43,7 @@ from sfmkit.estimation._problems import EssentialProblem
 from sfmkit.features import detect
 from sfmkit.geometry.coordinates import normalize
 from sfmkit.geometry.essential import decompose_essential
-from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
+from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from sfmkit.geometry.pose import pose_auc, rotation_error, translation_error
 from sfmkit.io.cameras import read_truth
 from sfmkit.io.images import read_image
@@ -217,7 +217,10 @@ def estimates(pairs: list[MatchedPair], seeds: int) -> None:
     counts = [len(p.corr) for p in pairs]
     right = [
         float(
-            (sampson_distance(fundamental_from_pose(p.R, p.t, p.K, p.K), p.x1, p.x2).abs() < 1)
+            (
+                signed_sampson_distance(fundamental_from_pose(p.R, p.t, p.K, p.K), p.x1, p.x2).abs()
+                < 1
+            )
             .double()
             .mean()
         )

@@ -16,26 +16,17 @@ import torch
 from torch import Tensor
 
 from ..errors import DegenerateGeometryError
-from ..geometry._five_point import five_point, one_pose
-from ..geometry.coordinates import _hartley, _normalize, inverse_intrinsics
-from ..geometry.fundamental import (
-    _residual_and_lines,
-    _sampson,
-    epipolar_rows,
-    fundamental_8point,
-    seven_point,
-    unit_norm,
-)
-from ..geometry.homography import _four_point, _homography_sampson, homography_dlt
+from ..geometry import kernels
+from ..geometry.fundamental import fundamental_8point
+from ..geometry.homography import homography_dlt
 from ..geometry.lie import hat
 from ..geometry.losses import marginal_weight
-from ..geometry.refinement import _Matches, _matches, _minimise, _Objective
+from ..geometry.refinement import Bearings, Objective, bearings, minimise
 
 Rows = Tensor | slice
 ALL = slice(None)
 
 _BLOCK = 1 << 17  # models times matches scored at once: what stays in the cache
-_SEARCH_CELLS = 96
 _POLISH = ((4.0, 4), (1.5, 20))  # thresholds, relative, and steps of the last fit
 
 
@@ -123,7 +114,7 @@ class _Epipolar(SearchProblem):
 
     def __init__(self, x1: Tensor, x2: Tensor, threshold: float, weights: Tensor | None):
         super().__init__(x1, x2, threshold, weights)
-        self.products = epipolar_rows(self.y1, self.y2).mT.contiguous()
+        self.products = kernels.epipolar_rows(self.y1, self.y2).mT.contiguous()
         self.quadratics = torch.cat([_quadratics(y) for y in (self.y1, self.y2)])
 
     @abstractmethod
@@ -131,7 +122,7 @@ class _Epipolar(SearchProblem):
         """(M, 3, 3) F of the centred coordinates."""
 
     def squares(self, models: Tensor, rows: Rows) -> Tensor:
-        F = unit_norm(self.fundamental(models)) * (self.length / self.threshold)
+        F = kernels.unit_norm(self.fundamental(models)) * (self.length / self.threshold)
         F = F.float()
         gradient = (
             torch.cat((_gram(F[:, :2]), _gram(F.mT[:, :2])), 1)
@@ -174,18 +165,18 @@ class EssentialProblem(_Epipolar):
         weights: Tensor | None,
     ):
         super().__init__(x1, x2, threshold, weights)
-        self.xn1, self.xn2 = _normalize(x1, K1), _normalize(x2, K2)
-        self.K1i, self.K2i = inverse_intrinsics(K1), inverse_intrinsics(K2)
+        self.xn1, self.xn2 = kernels.normalize(x1, K1), kernels.normalize(x2, K2)
+        self.K1i, self.K2i = kernels.inverse_intrinsics(K1), kernels.inverse_intrinsics(K2)
         self.left = (self.K2i @ torch.linalg.inv(self.T2)).mT.contiguous()
         self.right = self.K1i @ torch.linalg.inv(self.T1)
-        self.matches = _matches(x1, x2, K1, K2, weights)
+        self.matches = bearings(x1, x2, K1, K2, weights)
         self.h1, self.h2 = (h.float() for h in (self.matches.h1, self.matches.h2))
         self.n1, self.n2 = self.h1.square().sum(0), self.h2.square().sum(0)
-        self.rows = epipolar_rows(self.xn1, self.xn2).mT.float()
+        self.rows = kernels.epipolar_rows(self.xn1, self.xn2).mT.float()
 
     def solve(self, samples: Tensor) -> Tensor:
-        E, _ = five_point(self.xn1[samples], self.xn2[samples], _SEARCH_CELLS)
-        return E[E.isfinite().flatten(1).all(1)]
+        E, valid = kernels.essential_candidates(self.xn1[samples], self.xn2[samples])
+        return E[valid]
 
     def fundamental(self, models: Tensor) -> Tensor:
         return self.left @ models @ self.right
@@ -201,7 +192,7 @@ class EssentialProblem(_Epipolar):
         ``p = h2^T R h1``, ``q = t^T R h1`` and ``s = t^T h2``, of which the twisted pair of R
         changes only p, to ``2 q s - p``.
         """
-        R, t = (a.float() for a in one_pose(models))
+        R, t = (a.float() for a in kernels.one_pose(models))
         p = R.flatten(1) @ self.rows
         q, s = (t[:, None] @ R).squeeze(1) @ self.h1, t @ self.h2
         square = self.squares(models, ALL)
@@ -218,14 +209,14 @@ class EssentialProblem(_Epipolar):
             yield (depth1 < 0) & (depth2 < 0)
 
     def exact(self, model: Tensor) -> Tensor:
-        return _sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2
+        return kernels.signed_sampson(self.K2i.mT @ model @ self.K1i, self.x1, self.x2) ** 2
 
     def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
         m = self.matches
         w = None if m.weights is None else m.weights[rows]
-        m = _Matches(m.h1[:, rows], m.h2[:, rows], m.S1, m.S2, w)
-        R, t, *_ = _minimise(
-            *one_pose(models), m, _Objective("marginal", scale * self.threshold), steps
+        m = Bearings(m.h1[:, rows], m.h2[:, rows], m.S1, m.S2, w)
+        R, t, *_ = minimise(
+            *kernels.one_pose(models), m, Objective("marginal", scale * self.threshold), steps
         )
         return hat(t) @ R
 
@@ -241,16 +232,14 @@ class FundamentalProblem(_Epipolar):
         self.left, self.right = torch.linalg.inv(self.T2).mT.contiguous(), torch.linalg.inv(self.T1)
 
     def solve(self, samples: Tensor) -> Tensor:
-        (n1, T1), (n2, T2) = _hartley(self.x1[samples]), _hartley(self.x2[samples])
-        F, owner = seven_point(n1, n2)
-        F = unit_norm(T2[owner].mT @ F @ T1[owner])
-        return F[F.isfinite().flatten(1).all(1)]
+        F, valid = kernels.fundamental_candidates(self.x1[samples], self.x2[samples])
+        return F[valid]
 
     def fundamental(self, models: Tensor) -> Tensor:
         return self.left @ models @ self.right
 
     def exact(self, model: Tensor) -> Tensor:
-        return _sampson(model, self.x1, self.x2) ** 2
+        return kernels.signed_sampson(model, self.x1, self.x2) ** 2
 
     def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
         x1, x2 = (x[rows].expand(len(models), -1, -1) for x in (self.x1, self.x2))
@@ -263,7 +252,7 @@ class FundamentalProblem(_Epipolar):
 
 def _sampson_parts(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     """``x2^T F x1`` and the squared length of its gradient by the four coordinates."""
-    r, (a, b), (c, d) = _residual_and_lines(F, x1, x2)
+    r, (a, b), (c, d) = kernels.residual_and_lines(F, x1, x2)
     return r, (a * a + b * b + c * c + d * d).clamp(min=1e-300)
 
 
@@ -274,22 +263,24 @@ class HomographyProblem(SearchProblem):
     sample_size = 4
 
     def solve(self, samples: Tensor) -> Tensor:
-        H = _four_point(self.x1[samples], self.x2[samples])
+        H = kernels.four_point(self.x1[samples], self.x2[samples])
         return H[H.flatten(1).abs().amax(1) > 0]
 
     def squares(self, models: Tensor, rows: Rows) -> Tensor:
         H = (self.T2 @ models @ torch.linalg.inv(self.T1)).float()
         return (
-            _homography_sampson(H, self.y1[rows], self.y2[rows])
+            kernels.squared_homography_sampson(H, self.y1[rows], self.y2[rows])
             * (self.length / self.threshold) ** 2
         )
 
     def exact(self, model: Tensor) -> Tensor:
-        return _homography_sampson(model, self.x1, self.x2)
+        return kernels.squared_homography_sampson(model, self.x1, self.x2)
 
     def improve(self, models: Tensor, rows: Rows, steps: int, scale: float) -> Tensor:
         x1, x2 = (x[rows].expand(len(models), -1, -1) for x in (self.x1, self.x2))
         for _ in range(steps):
-            w = marginal_weight(_homography_sampson(models, x1, x2), scale * self.threshold)
+            w = marginal_weight(
+                kernels.squared_homography_sampson(models, x1, x2), scale * self.threshold
+            )
             models = self._refit(homography_dlt, models, x1, x2, w)
         return models

@@ -12,7 +12,7 @@ from torch import Tensor
 from ..errors import InputError
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
-from ..geometry.homography import homography_sampson
+from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.losses import marginal_score
 from .result import RobustModel, check_model, supported
 
@@ -137,7 +137,7 @@ def _homography(
         cv2.findHomography, p1, p2, flag, threshold, maxIters=most, confidence=confidence
     )
     models = [torch.linalg.inv(T2) @ H.to(x1) @ T1 for H in found]
-    return models, lambda H: homography_sampson(H, x1, x2)
+    return models, lambda H: squared_homography_sampson_distance(H, x1, x2)
 
 
 # size of a minimal sample (8 for F, whose linear fit OpenCV uses), and the fit

@@ -15,7 +15,7 @@ from torch import Tensor
 from ..errors import InputError
 from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
-from ..geometry.homography import homography_sampson
+from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.losses import marginal_score
 from .result import RobustModel, check_model, supported
 
@@ -100,7 +100,7 @@ def _estimate(
 
     def square(M: Tensor) -> Tensor:
         if model == "homography":
-            return homography_sampson(M, x1, x2)
+            return squared_homography_sampson_distance(M, x1, x2)
         F = M if cameras is None else fundamental_from_essential(M, *cameras)
         return squared_sampson_distance(F, x1, x2)
 

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..geometry.homography import homography_sampson
+from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.homography_refinement import refine_homography
 from ..options import PlanarOptions
 from ..types import Correspondences, FrozenMapping
@@ -90,7 +90,7 @@ def estimate_planar(
         return PlanarFit(None, nothing, reason, evidence)
     if options.method == "prefixes":
         H = refine_homography(H, x1, x2, threshold_px=options.threshold_px)
-    inliers = homography_sampson(H, corr.x1, corr.x2) < options.threshold_px**2
+    inliers = squared_homography_sampson_distance(H, corr.x1, corr.x2) < options.threshold_px**2
     reason = f"{int(inliers.sum()):,} of {n:,} matches agree on one homography, which chance does not explain."
     return PlanarFit(H, inliers, reason, evidence)
 
@@ -191,10 +191,14 @@ def false_alarms(
     rows = torch.from_numpy(np.unique(cells, axis=0, return_index=True)[1])
     a, b = x1[rows], x2[rows]
     n = len(a)
-    k = int((homography_sampson(H, a, b) < threshold**2).sum())
+    k = int((squared_homography_sampson_distance(H, a, b) < threshold**2).sum())
     rounds = max(1, 10_000 // n)
     partners = torch.cat([torch.randperm(n, generator=generator) for _ in range(rounds)])
-    hits = int((homography_sampson(H, a.repeat(rounds, 1), b[partners]) < threshold**2).sum())
+    hits = int(
+        (
+            squared_homography_sampson_distance(H, a.repeat(rounds, 1), b[partners]) < threshold**2
+        ).sum()
+    )
     chance = (hits + 1) / (rounds * n + 1)
     nfa = log10_nfa(k, n, chance, sample=4, solutions=1)
     return {"matches": n, "inliers": k, "chance_agreement": chance, "log10_false_alarms": nfa}

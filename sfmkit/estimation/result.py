@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry._checks import check_intrinsics, check_points
+from ..geometry.checks import check_intrinsics, check_points
 from ..types import Improvement
 
 

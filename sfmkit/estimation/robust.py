@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry._checks import check_points
-from ..geometry.fundamental import fundamental_from_essential, sampson_distance
+from ..geometry.checks import check_points
+from ..geometry.fundamental import fundamental_from_essential, signed_sampson_distance
 from ..geometry.losses import marginal_score
 from ..types import Improvement
 from ._agreement import disagreement
@@ -146,7 +146,7 @@ def essential_score(
 
     What :func:`estimate` maximises. Between 0 and the sum of the weights.
     """
-    square = sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2
+    square = signed_sampson_distance(fundamental_from_essential(E, K1, K2), x1, x2) ** 2
     score = marginal_score(square, threshold_px)
     return (score if weights is None else weights * score).sum(-1)
 

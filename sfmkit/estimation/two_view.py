@@ -20,7 +20,7 @@ from ..geometry.fundamental import (
     fundamental_8point,
     fundamental_from_essential,
     fundamental_from_pose,
-    sampson_distance,
+    signed_sampson_distance,
 )
 from ..geometry.homography import decompose_homography
 from ..geometry.pose import cheirality, choose_pose, rotation_error, translation_error
@@ -107,7 +107,7 @@ def estimate_two_view(
     E = essential_from_pose(R, t)
     if calibrated or options.refine:
         F = fundamental_from_essential(E, K1, K2)
-        inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
+        inliers = signed_sampson_distance(F, x1, x2).abs() < options.threshold_px
     # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses
     # thereby
     else:
@@ -128,7 +128,7 @@ def estimate_two_view(
         F_best = fundamental_from_pose(
             *refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose, K1, K2
         )
-        inliers_best = sampson_distance(F_best, x1, x2).abs() < options.threshold_px
+        inliers_best = signed_sampson_distance(F_best, x1, x2).abs() < options.threshold_px
     judgement = judge(x1, x2, K1, K2, F_best, inliers_best, plane.model, options.threshold_px, seed)
     if judgement.verdict is Verdict.TOO_LITTLE:
         return too_little(judgement.reason, judgement.evidence)
@@ -153,7 +153,7 @@ def estimate_two_view(
         alternatives = tuple(others)
         E = essential_from_pose(R, t)
         F = fundamental_from_essential(E, K1, K2)
-        inliers = sampson_distance(F, x1, x2).abs() < options.threshold_px
+        inliers = signed_sampson_distance(F, x1, x2).abs() < options.threshold_px
         if alternatives:
             reason += (
                 " A plane seen twice allows two motions; the other one is kept as an alternative."
@@ -209,7 +209,7 @@ def planar_poses(
         if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < 0.9:
             continue
         R, t = refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose
-        e = sampson_distance(fundamental_from_pose(R, t, K1, K2), x1, x2)
+        e = signed_sampson_distance(fundamental_from_pose(R, t, K1, K2), x1, x2)
         cost = float(e.square().clamp(max=threshold_px**2).sum())
         if all(float(rotation_error(R, Q) + translation_error(t, u)) > 0.5 for _, Q, u in seen):
             seen.append((cost, R, t))
@@ -270,7 +270,7 @@ def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) 
     F, inliers = fit.model, fit.inliers
     for _ in range(2):
         F = fundamental_8point(x1[inliers], x2[inliers])
-        inliers = sampson_distance(F, x1, x2).abs() < threshold_px
+        inliers = signed_sampson_distance(F, x1, x2).abs() < threshold_px
     if int(inliers.sum()) < int(fit.inliers.sum()) // 2:
         return fit
     return replace(fit, model=F, inliers=inliers)

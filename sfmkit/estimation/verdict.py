@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from ..geometry.coordinates import denormalize, normalize, to_homogeneous
-from ..geometry.fundamental import sampson_distance
-from ..geometry.homography import homography_sampson
+from ..geometry.fundamental import signed_sampson_distance
+from ..geometry.homography import squared_homography_sampson_distance
 from ..types import Verdict
 
 MIN_MATCHES = 8
@@ -119,7 +119,7 @@ def chance_agreement(
     hits = 0
     for _ in range(rounds):
         order = torch.randperm(len(x1), generator=g).to(x1.device)
-        hits += int((sampson_distance(F, x1, x2[order]).abs() < threshold_px).sum())
+        hits += int((signed_sampson_distance(F, x1, x2[order]).abs() < threshold_px).sum())
     return (hits + 1) / (rounds * len(x1) + 1)
 
 
@@ -155,20 +155,20 @@ def judge(
         )
         return Judgement(Verdict.TOO_LITTLE, reason, evidence)
 
-    e_F = sampson_distance(F, x1, x2) ** 2
+    e_F = signed_sampson_distance(F, x1, x2) ** 2
     sigma = max(1.4826 * float(e_F[inliers].sqrt().median()), MIN_SIGMA_PX)
     evidence["sigma_px"] = sigma
     if H is None:
         return Judgement(Verdict.GENERAL, "No plane explains the matches.", evidence)
 
-    e_H = homography_sampson(H, x1, x2)
+    e_H = squared_homography_sampson_distance(H, x1, x2)
     # Twice the inlier threshold: a plane's matches must not be dropped because F happens to miss
     # some of them.
     considered = inliers | (e_H < threshold_px**2)
     R0 = nearest_rotation(torch.linalg.solve(K2, H @ K1))
     R = fit_rotation(x1[considered], x2[considered], K1, K2, R0, scale_px=sigma)
     H_R = K2 @ R @ torch.linalg.inv(K1)
-    e_R = homography_sampson(H_R, x1, x2)
+    e_R = squared_homography_sampson_distance(H_R, x1, x2)
     scores = {
         Verdict.GENERAL: gric(e_F[considered], sigma, 3, 5),
         Verdict.PLANAR: gric(e_H[considered], sigma, 2, 8),

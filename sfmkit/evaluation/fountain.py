@@ -30,7 +30,7 @@ from ..datasets.synthetic import SyntheticPair, render
 from ..errors import InputError
 from ..estimation import adjust, estimate_two_view
 from ..features import OPERATOR_PLUGINS
-from ..geometry.fundamental import fundamental_from_pose, sampson_distance
+from ..geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
 from ..options import PRESETS, Options
@@ -178,7 +178,7 @@ def true_fundamental(pair: Pair) -> Tensor:
 
 def right_matches(F_true: Tensor, corr: Correspondences) -> Tensor:
     """(N,) bool: correspondences within 1 px of the true epipolar geometry (Sampson distance)."""
-    return sampson_distance(F_true, corr.x1, corr.x2).abs() < RIGHT_PX
+    return signed_sampson_distance(F_true, corr.x1, corr.x2).abs() < RIGHT_PX
 
 
 def estimate_cloud(

@@ -24,7 +24,7 @@ from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
 from ..errors import InputError
 from ..features import OPERATOR_PLUGINS, detect
-from ..geometry.homography import homography_sampson
+from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import read_image
 from ..matching.nearest import match
@@ -233,7 +233,7 @@ def _floor(x1: torch.Tensor, x2: torch.Tensor, H_true: np.ndarray, size_wh: tupl
     """How far from the truth a fit ends that knows it: the truth's own error, and what the matches
     cannot tell."""
     T = torch.from_numpy(H_true.copy())
-    right = homography_sampson(T, x1, x2) < FLOOR_PX**2
+    right = squared_homography_sampson_distance(T, x1, x2) < FLOOR_PX**2
     H = refine_homography(T, x1[right], x2[right], threshold_px=FLOOR_PX).numpy()
     return {
         "matches": int(right.sum()),

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from ..errors import DegenerateGeometryError, InputError
-from ._checks import _traced, check_intrinsics, check_points
 from ._two_view_problem import FREE_FOCALS, Focal, Problem, State, linearise, settle_points
-from .coordinates import _normalize
+from .checks import _traced, check_intrinsics, check_points
+from .kernels import normalize
 from .losses import Loss
 from .pose import check_pose
 from .triangulation import triangulate_optimal
@@ -191,7 +191,7 @@ def _regular(weights: Tensor) -> Tensor:
 
 def _start(problem: Problem, R: Tensor, t: Tensor) -> State:
     t = t / t.norm(dim=-1, keepdim=True)
-    xn1, xn2 = _normalize(problem.x1, problem.K1), _normalize(problem.x2, problem.K2)
+    xn1, xn2 = normalize(problem.x1, problem.K1), normalize(problem.x2, problem.K2)
     X = triangulate_optimal(xn1, xn2, R, t, homogeneous=True)
     x, y, z, w = X.unbind(-1)
     return State(R, t, torch.zeros_like(t[..., :2]), (x / z, y / z, w / z))

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import torch
+from kornia.geometry.conversions import (
+    convert_points_to_homogeneous,
+    denormalize_points_with_intrinsics,
+)
 from torch import Tensor
 
-from ._checks import check_intrinsics, check_kind, check_points
+from . import kernels
+from .checks import check_intrinsics, check_points
+
+HALF_PIXEL = 0.5
+"""The centre of the top-left pixel is (0, 0) here and in OpenCV, (0.5, 0.5) in COLMAP."""
 
 
 def to_homogeneous(x: Tensor) -> Tensor:
-    """Append a 1: (*, D) -> (*, D + 1)."""
-    return torch.nn.functional.pad(x, (0, 1), value=1.0)
+    """Append a 1 to points: (*B, N, D) -> (*B, N, D + 1). Computed by kornia."""
+    return convert_points_to_homogeneous(x)
 
 
 def from_homogeneous(xh: Tensor) -> Tensor:
-    """Divide by the last coordinate: (*, D + 1) -> (*, D). Points at infinity come out infinite."""
+    """Divide by the last coordinate: (*, D + 1) -> (*, D). Points at infinity become infinite.
+
+    Not kornia's ``convert_points_from_homogeneous`` (0.9.0): it returns the numerators unchanged
+    where ``|w| <= 1e-8``, so (2, 4, 0) becomes the finite point (2, 4).
+    """
     return xh[..., :-1] / xh[..., -1:]
 
 
 def normalize(x: Tensor, K: Tensor) -> Tensor:
-    """Pixels to normalised coordinates: ``K^-1 x``, lengths then being tangents of angles.
+    """Map pixels to normalised coordinates, ``K^-1 x``; lengths are then tangents of angles.
+
+    Computed by kornia's ``normalize_points_with_intrinsics``, plus the skew, which it ignores.
 
     Args:
         x: (*B, N, 2) pixels, undistorted.
@@ -29,42 +43,35 @@ def normalize(x: Tensor, K: Tensor) -> Tensor:
         (*B, N, 2).
 
     Raises:
-        InputError: K is singular or no intrinsic matrix; shapes, dtypes or devices do not fit.
+        InputError: K is singular or not an intrinsic matrix; x holds NaN or infinite values;
+            shapes, dtypes or devices do not fit.
 
     Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.), 6.1.
     """
-    check_kind(x=x)
+    check_points(x=x)
     check_intrinsics(x, K=K)
-    return _normalize(x, K)
-
-
-def _normalize(x: Tensor, K: Tensor) -> Tensor:
-    v = (x[..., 1] - K[..., 1, 2, None]) / K[..., 1, 1, None]
-    u = (x[..., 0] - K[..., 0, 2, None] - K[..., 0, 1, None] * v) / K[..., 0, 0, None]
-    return torch.stack((u, v), -1)
+    return kernels.normalize(x, K)
 
 
 def denormalize(xn: Tensor, K: Tensor) -> Tensor:
-    """Normalised coordinates to pixels: ``K xn``; the inverse of :func:`normalize`, same shapes and
-    errors."""
-    check_kind(xn=xn)
+    """Map normalised coordinates to pixels, ``K xn``; the inverse of :func:`normalize`.
+
+    Computed by kornia's ``denormalize_points_with_intrinsics``, plus the skew, which it ignores.
+    Shapes and errors as for :func:`normalize`.
+    """
+    check_points(xn=xn)
     check_intrinsics(xn, K=K)
-    u, v = xn[..., 0], xn[..., 1]
-    return torch.stack(
-        (
-            K[..., 0, 0, None] * u + K[..., 0, 1, None] * v + K[..., 0, 2, None],
-            K[..., 1, 1, None] * v + K[..., 1, 2, None],
-        ),
-        -1,
-    )
+    x = denormalize_points_with_intrinsics(xn, K.unsqueeze(-3))
+    skew = K[..., 0, 1, None] * xn[..., 1]
+    return torch.stack((x[..., 0] + skew, x[..., 1]), -1)
 
 
 def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Similarity that moves the (weighted) centroid to the origin and the mean squared distance
-    from it to 2.
+    """Move the (weighted) centroid to the origin and scale the mean squared distance to 2.
 
-    The root mean square distance, not the mean distance, is brought to √2: it conditions as well
-    and is smooth.
+    The root mean square distance becomes √2, not the mean distance: it conditions as well and is
+    smooth. kornia's ``normalize_points`` (0.9.0) fails under ``torch.func.vmap`` (it writes into a
+    new tensor) and adds 1e-8 to the distance: points that coincide are scaled by 1.4e8.
 
     Args:
         x: (*B, N, 2).
@@ -78,54 +85,16 @@ def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Ten
     4.4.4.
     """
     check_points(1, weights, x=x)
-    return _hartley(x, weights)
-
-
-def _hartley(x: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    if weights is None:
-        centre = x.mean(-2)
-        moved = x - centre[..., None, :]
-        variance = (moved**2).sum(-1).mean(-1)
-    else:
-        total = weights.sum(-1, keepdim=True)
-        w = weights / torch.where(total > 0, total, 1.0)
-        centre = (w[..., None] * x).sum(-2)
-        moved = x - centre[..., None, :]
-        variance = (w * (moved**2).sum(-1)).sum(-1)
-    spread = variance > 0
-    scale = torch.where(spread, 2 / torch.where(spread, variance, 1.0), 1.0).sqrt()
-    zero, one = torch.zeros_like(scale), torch.ones_like(scale)
-    T = torch.stack(
-        (
-            scale,
-            zero,
-            -scale * centre[..., 0],
-            zero,
-            scale,
-            -scale * centre[..., 1],
-            zero,
-            zero,
-            one,
-        ),
-        -1,
-    ).unflatten(-1, (3, 3))
-    return moved * scale[..., None, None], T
+    return kernels.hartley(x, weights)
 
 
 def inverse_intrinsics(K: Tensor) -> Tensor:
-    """``K^-1`` of (*B, 3, 3) upper-triangular intrinsics, in closed form."""
-    fx, s, cx = K[..., 0, 0], K[..., 0, 1], K[..., 0, 2]
-    fy, cy = K[..., 1, 1], K[..., 1, 2]
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    rows = (
-        1 / fx,
-        -s / (fx * fy),
-        (s * cy / fy - cx) / fx,
-        zero,
-        1 / fy,
-        -cy / fy,
-        zero,
-        zero,
-        one,
-    )
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    """Invert (*B, 3, 3) upper-triangular intrinsics in closed form.
+
+    kornia has no inverse of 3 x 3 intrinsics (its camera classes invert a 4 x 4 matrix).
+
+    Raises:
+        InputError: K is singular or not an intrinsic matrix; dtype, NaN.
+    """
+    check_intrinsics(K=K)
+    return kernels.inverse_intrinsics(K)

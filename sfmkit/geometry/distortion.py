@@ -20,7 +20,7 @@ from torch import Tensor
 from ..errors import InputError
 from ..types import Camera, LensModel
 from . import _lens
-from ._checks import _traced, check_matrices, check_points
+from .checks import _traced, check_matrices, check_points
 from .coordinates import normalize
 
 _LENGTHS: dict[LensModel, tuple[int, ...]] = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,)}

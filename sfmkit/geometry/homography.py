@@ -1,20 +1,33 @@
-"""Homographies ``x2 = H x1`` between pixels: estimation, distances, and the poses and planes behind
-them."""
+"""Homographies ``x2 = H x1`` between pixels: estimation, distances, and their poses and planes."""
 
 from __future__ import annotations
 
 import torch
+from kornia.geometry import homography as kornia_homography
 from torch import Tensor
 
-from ._checks import check_determined, check_intrinsics, check_kind, check_matrices, check_points
+from ..errors import DegenerateGeometryError, InputError
+from . import kernels
 from ._nullspace import detached, smallest_singular_vector
-from .coordinates import _hartley, inverse_intrinsics, to_homogeneous
-from .fundamental import unit_norm
+from .checks import (
+    _traced,
+    check_determined,
+    check_intrinsics,
+    check_invertible,
+    check_matrices,
+    check_points,
+    check_values,
+)
+from .coordinates import to_homogeneous
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 
 
 def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Tensor:
-    """H from 4 or more matches: the normalised direct linear transform.
+    """Estimate H from 4 or more matches with the normalised direct linear transform.
+
+    Not kornia's ``find_homography_dlt`` (0.9.0): its gradient is wrong at exact matches (gradcheck
+    fails) and it fails under ``torch.func.vmap`` (``tests/geometry/test_kornia.py`` shows both).
+    Here the null vector is differentiated implicitly.
 
     Args:
         x1, x2: (*B, N, 2) pixels, N >= 4.
@@ -25,36 +38,36 @@ def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Ten
         float64.
 
     Raises:
-        DegenerateGeometryError: fewer than 4 matches, or matches that leave H open: collinear or
-            repeated (in a batch: when all its members are so; where only some are, their H is
-            finite but means nothing).
+        DegenerateGeometryError: fewer than 4 matches, or matches that do not determine H: collinear
+            or repeated (in a batch: when this holds for all members; where it holds for some, their
+            H is finite but meaningless).
         InputError: shapes, dtypes, devices, NaN.
 
-    Source: Hartley & Zisserman 4.1 and 4.4, algorithm 4.2. The null vector is differentiated
-    implicitly, unlike that of kornia's ``find_homography_dlt``, whose SVD's derivative divides by
-    differences of all singular values.
+    Source: Hartley & Zisserman 4.1 and 4.4, algorithm 4.2.
     """
     check_points(4, weights, x1=x1, x2=x2)
     dtype = x1.dtype
     x1, x2 = x1.double(), x2.double()
     weights = None if weights is None else weights.double()
-    n1, T1 = _hartley(x1, weights)
-    n2, T2 = _hartley(x2, weights)
+    n1, T1 = kernels.hartley(x1, weights)
+    n2, T2 = kernels.hartley(x2, weights)
     h1 = to_homogeneous(n1)
     u, v = n2[..., :1], n2[..., 1:]
     zero = torch.zeros_like(h1)
     rows = torch.cat((torch.cat((h1, zero, -u * h1), -1), torch.cat((zero, h1, -v * h1), -1)), -2)
-    h, gap = smallest_singular_vector(
-        rows, None if weights is None else torch.cat((weights, weights), -1)
-    )
-    check_determined(gap, dtype, "H", "they may lie on one line or repeat one another")
-    H = inverse_intrinsics(T2) @ h.unflatten(-1, (3, 3)) @ T1
-    return _oriented(H).to(dtype)
+    twice = None if weights is None else torch.cat((weights, weights), -1)
+    h, gap = smallest_singular_vector(rows, twice)
+    check_determined(gap, dtype, "H", "they may lie on one line or be repeated")
+    H = kernels.inverse_intrinsics(T2) @ h.unflatten(-1, (3, 3)) @ T1
+    return _oriented(kernels.unit_norm(H)).to(dtype)
 
 
 def homography_4point(x1: Tensor, x2: Tensor) -> Tensor:
-    """H of exactly four matches, in closed form: products of 3 x 3 determinants, no decomposition
-    and no division.
+    """Return H of exactly four matches in closed form: products of 3 x 3 determinants.
+
+    Not kornia's ``get_perspective_transform`` (0.9.0): with one repeated point in a batch its
+    values and derivatives are not finite, or it raises (8 x 8 systems); here they are finite.
+    1000 samples take 3.7 times as long as kornia's (``benchmarks/geometry.py``).
 
     Args:
         x1, x2: (*B, 4, 2) pixels, no three on a line.
@@ -63,124 +76,117 @@ def homography_4point(x1: Tensor, x2: Tensor) -> Tensor:
         (*B, 3, 3) of unit Frobenius norm and positive determinant; zero or singular when three
         points lie on a line.
 
-    Source: Hartley & Zisserman 2.3, each set of four points as a projective basis. Chosen for
-    what it does to bad samples, not for speed: with one repeated point in a batch, values and
-    derivatives of ``kornia.geometry.get_perspective_transform`` (8 x 8 systems) are not finite,
-    here they are. 1000 samples take 1.0 ms, kornia's 0.3 ms.
+    Raises:
+        InputError: not exactly 4 matches; shapes, dtypes, devices, NaN.
+
+    Source: Hartley & Zisserman 2.3, each set of four points as a projective basis.
     """
     check_points(4, x1=x1, x2=x2)
     if x1.shape[-2] != 4:
-        check_points(x1=x1[..., :4, :], x2=x2)  # says which shapes differ
-    dtype = x1.dtype
-    H = _four_point(x1.double(), x2.double())
-    return torch.where((torch.linalg.det(H) < 0)[..., None, None], -H, H).to(dtype)
-
-
-def _four_point(x1: Tensor, x2: Tensor) -> Tensor:
-    (n1, T1), (n2, T2) = _hartley(x1), _hartley(x2)
-    (s1, c1), (s2, _) = _basis(n1), _basis(n2)
-    a, b, c = s1.unbind(-1)
-    scale = s2 * torch.stack((b * c, a * c, a * b), -1)
-    H = (scale[..., None] * to_homogeneous(n2[..., :3, :])).mT @ c1
-    H = inverse_intrinsics(T2) @ H @ T1
-    size = H.flatten(-2).norm(dim=-1)[..., None, None]
-    return torch.where(size > 0, H / torch.where(size > 0, size, 1.0), 0.0)
-
-
-def _basis(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Of four points p: the scales s with ``p4 ~ Σ s_i p_i`` (*B, 3), and the rows
-    ``p2 x p3, p3 x p1, p1 x p2``."""
-    p = to_homogeneous(x)
-    p1, p2, p3, p4 = p.unbind(-2)
-    cross = torch.stack(
-        [torch.linalg.cross(a, b, dim=-1) for a, b in ((p2, p3), (p3, p1), (p1, p2))], -2
-    )
-    return (cross @ p4[..., None]).squeeze(-1), cross
+        raise InputError(f"the four-point homography needs exactly 4 matches, not {x1.shape[-2]}")
+    return _oriented(kernels.four_point(x1.double(), x2.double())).to(x1.dtype)
 
 
 def _oriented(H: Tensor) -> Tensor:
-    """Unit Frobenius norm and positive determinant: the scene lies on one side of both cameras."""
-    sign = torch.where(torch.linalg.det(H) < 0, -1.0, 1.0).detach()
-    return unit_norm(H) * sign[..., None, None]
+    """Return H with positive determinant: the scene is on one side of both cameras."""
+    return torch.where((torch.linalg.det(H) < 0)[..., None, None], -H, H)
 
 
 def transfer(H: Tensor, x: Tensor) -> Tensor:
-    """``H x`` in pixels, (*B, N, 2); infinite where H sends a point to infinity."""
+    """Return ``H x`` in pixels, (*B, N, 2); infinite where H maps a point to infinity.
+
+    Not kornia's ``transform_points`` (0.9.0): it does not divide where the third coordinate is
+    below 1e-8, which gives a wrong finite point.
+    """
     check_points(x=x)
     check_matrices(x, H=H)
-    return _transfer(H, x)[0]
+    return kernels.transfer(H, x)[0]
 
 
-def _transfer(H: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-    """``H x`` (*B, N, 2), and the third homogeneous coordinate (*B, N)."""
-    h = H.unsqueeze(-1)
-    u, v = x[..., 0], x[..., 1]
-    a, b, w = (h[..., i, 0, :] * u + h[..., i, 1, :] * v + h[..., i, 2, :] for i in range(3))
-    return torch.stack((a / w, b / w), -1), w
+def squared_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
+    """Return the squared distances of x2 from ``H x1``, (*B, N) square pixels.
+
+    Infinite where H maps x1 to infinity. Computed by kornia's ``oneway_transfer_error``.
+
+    Source: Hartley & Zisserman, eq. 4.6.
+    """
+    return _by_kornia(kornia_homography.oneway_transfer_error, H, x1, x2)
 
 
-def transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared distance of x2 from ``H x1``, square pixels. Source: Hartley & Zisserman, eq.
-    4.6."""
-    check_points(x1=x1, x2=x2)
-    return ((x2 - transfer(H, x1)) ** 2).sum(-1)
+def squared_symmetric_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
+    """Return ``|x2 - H x1|² + |x1 - H^-1 x2|²``, (*B, N) square pixels.
+
+    Both terms are computed by kornia's ``oneway_transfer_error``; its ``symmetric_transfer_error``
+    (0.9.0) returns the largest float for a singular H instead of an error.
+
+    Raises:
+        DegenerateGeometryError: H is singular.
+
+    Source: Hartley & Zisserman, eq. 4.7.
+    """
+    check_matrices(x1, H=H)
+    check_invertible(H=H)
+    there = squared_transfer_error(H, x1, x2)
+    return there + squared_transfer_error(torch.linalg.inv(H), x2, x1)
 
 
-def symmetric_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared distances ``|x2 - H x1|² + |x1 - H^-1 x2|²``, square pixels. Source: ibid.,
-    eq. 4.7."""
-    return transfer_error(H, x1, x2) + transfer_error(torch.linalg.inv(H), x2, x1)
+def squared_homography_sampson_distance(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
+    """Return the squared first-order distances of matches to ``x2 = H x1``, (*B, N) square pixels.
 
-
-def homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """(*B, N) squared first-order distance of a match to ``x2 = H x1``, shared by its four
-    coordinates, square pixels.
-
-    With ``r = x2 - H x1`` and A the derivative of ``H x1`` it is ``r^T (I + A A^T)^-1 r``:
-    comparable with the Sampson distance to an epipolar geometry. Infinite where H sends x1 to
-    infinity.
+    The correction is shared by the four coordinates of a match: comparable with the Sampson
+    distance to an epipolar geometry. Infinite where it is not defined. Computed by kornia's
+    ``sampson_homography_distance``.
 
     Source: Hartley & Zisserman 4.2.6.
     """
+    return _by_kornia(kornia_homography.sampson_homography_distance, H, x1, x2)
+
+
+def _by_kornia(distance, H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
+    """Call one of kornia's squared distances, which take (B, 3, 3) and (B, N, 2), with any *B."""
     check_points(x1=x1, x2=x2)
     check_matrices(x1, H=H)
-    return _homography_sampson(H, x1, x2)
-
-
-def _homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    y, w = _transfer(H, x1)
-    h = H.unsqueeze(-1)
-    a, b, c, d = (
-        (h[..., i, j, :] - y[..., i] * h[..., 2, j, :]) / w for i in range(2) for j in range(2)
-    )
-    r, s = x2[..., 0] - y[..., 0], x2[..., 1] - y[..., 1]
-    # r^T (I + A A^T)^-1 r as a ratio of sums of squares: nothing cancels.
-    square = r * r + s * s + (c * r - a * s) ** 2 + (d * r - b * s) ** 2
-    square = square / (1 + a * a + b * b + c * c + d * d + (a * d - b * c) ** 2)
-    return torch.where(torch.isfinite(square), square, torch.inf)
+    batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
+    H = H.expand(*batch, 3, 3).reshape(-1, 3, 3)
+    if x1.ndim > 2:
+        x1, x2 = (x.expand(*batch, *x.shape[-2:]).reshape(-1, *x.shape[-2:]) for x in (x1, x2))
+    return distance(x1, x2, H, squared=True).reshape(*batch, x1.shape[-2])
 
 
 def homography_from_pose(
     R: Tensor, t: Tensor, n: Tensor, d: Tensor | float, K1: Tensor, K2: Tensor
 ) -> Tensor:
-    """``K2 (R + t n^T / d) K1^-1``: what the plane ``n · X1 = d`` does between the cameras
-    ``X2 = R X1 + t``.
+    """Return ``K2 (R + t n^T / d) K1^-1``, the homography of the plane ``n · X1 = d``.
+
+    The cameras are ``X2 = R X1 + t``. kornia 0.9.0 has no counterpart.
 
     Args:
         R: (*B, 3, 3).
         t, n: (*B, 3); n is the unit normal of the plane in camera 1, pointing away from it.
         d: (*B,) distance of the plane, in the units of t.
 
+    Raises:
+        DegenerateGeometryError: d is zero: the plane passes through camera 1.
+        InputError: shapes, dtypes, devices, NaN.
+
     Source: Hartley & Zisserman, eq. 13.2 (whose normal points the other way).
     """
-    check_kind(R=R, t=t, n=n)
+    check_matrices(R=R)
+    check_matrices(R, shape=(3,), t=t, n=n)
     check_intrinsics(R, K1=K1, K2=K2)
     d = torch.as_tensor(d, dtype=R.dtype, device=R.device)
-    return K2 @ (R + t[..., :, None] * (n / d[..., None])[..., None, :]) @ inverse_intrinsics(K1)
+    check_values(d=d)
+    if not _traced() and bool((d == 0).any()):
+        raise DegenerateGeometryError("d is zero: the plane passes through camera 1")
+    H = R + t[..., :, None] * (n / d[..., None])[..., None, :]
+    return K2 @ H @ kernels.inverse_intrinsics(K1)
 
 
 def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The poses and planes that give H: ``K2^-1 H K1 ~ R + t n^T``.
+    """Return the poses and planes of H: ``K2^-1 H K1 ~ R + t n^T``.
+
+    kornia 0.9.0 has no counterpart; OpenCV's decomposition (Malis & Vargas 2007) has no derivative.
+    This one is differentiated implicitly (least norm where solutions coincide).
 
     Args:
         H: (*B, 3, 3) pixels, any scale and sign. K1, K2: (3, 3) or (*B, 3, 3).
@@ -189,28 +195,48 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
         R (*B, 4, 3, 3), t (*B, 4, 3), n (*B, 4, 3): t in units of the plane's distance, n unit. The
         third and fourth solutions are the first and second with t and n negated; only those whose
         plane is in front, ``n · (xn1, 1) > 0``, can have been seen. When t is parallel to n the
-        pairs fall together; under pure rotation t is 0 and n arbitrary.
+        pairs coincide; under pure rotation t is 0 and n arbitrary.
 
-    Source: Ma, Soatto, Kosecka & Sastry, An Invitation to 3-D Vision, theorem 5.19. OpenCV's
-    decomposition (Malis & Vargas 2007) has no derivative; this is differentiated implicitly (least
-    norm where solutions fall together).
+    Raises:
+        DegenerateGeometryError: H is singular.
+        InputError: shapes, dtypes, devices, NaN.
+
+    Source: Ma, Soatto, Kosecka & Sastry, An Invitation to 3-D Vision, theorem 5.19.
     """
     check_matrices(H=H)
     check_intrinsics(H, K1=K1, K2=K2)
-    A = (inverse_intrinsics(K2) @ H @ K1).double()
-    scale, R, t, n, inverse = detached(_decompose, A)
-    target = scale[..., None, None] * A[..., None, :, :]
-    residual = target - (R + t[..., :, None] * n[..., None, :])
-    step = (inverse @ residual.flatten(-2)[..., None]).squeeze(-1)
-    R = so3_exp(step[..., :3]) @ R
-    t = t + step[..., 3:6]
-    n = sphere_exp(n, (tangent_basis(n) @ step[..., 6:8, None]).squeeze(-1))
+    check_invertible(H=H)
+    A = kernels.inverse_intrinsics(K2.double()) @ H.double() @ K1.double()
+    scale0, R0, t0, n0, inverse = detached(_decompose, A)
+    basis = tangent_basis(n0)
+    step = torch.zeros_like(inverse[..., 0])
+    # Two steps of Newton's method with a constant derivative: the first makes the first derivatives
+    # correct, the second the second derivatives.
+    for _ in range(2):
+        scale, R, t, n = _moved(scale0, R0, t0, n0, basis, step)
+        residual = (
+            scale[..., None, None] * A[..., None, :, :] - R - t[..., :, None] * n[..., None, :]
+        )
+        step = step + (inverse @ residual.flatten(-2)[..., None]).squeeze(-1)
+    _, R, t, n = _moved(scale0, R0, t0, n0, basis, step)
     return R.to(H.dtype), t.to(H.dtype), n.to(H.dtype)
 
 
+def _moved(
+    scale: Tensor, R: Tensor, t: Tensor, n: Tensor, basis: Tensor, step: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return the solution after a step in (ω, t, turn of n, log scale)."""
+    turn = (basis @ step[..., 6:8, None]).squeeze(-1)
+    R = so3_exp(step[..., :3]) @ R
+    return scale * step[..., 8].exp(), R, t + step[..., 3:6], sphere_exp(n, turn)
+
+
 def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """``scale A = R + t n^T``: scale, R, t, n, and the pseudo-inverse of the derivative in (ω, t,
-    turn of n, log scale)."""
+    """Solve ``scale A = R + t n^T``: scale, R, t, n and the pseudo-inverse of the derivative.
+
+    The derivative is that of the right side minus the left with respect to (ω, t, turn of n,
+    log scale).
+    """
     values, V = torch.linalg.eigh(A.mT @ A)
     middle = values[..., 1]
     scale = (
@@ -221,7 +247,7 @@ def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     l3, l1 = values[..., 0] / middle, values[..., 2] / middle
     v3, v2, v1 = V.unbind(-1)
     p, q = (1 - l3).clamp(min=0).sqrt(), (l1 - 1).clamp(min=0).sqrt()
-    p = torch.where(p + q > 0, p, 1.0)  # a pure rotation: any normal will do
+    p = torch.where(p + q > 0, p, 1.0)  # a pure rotation: the normal is arbitrary
     length = torch.hypot(p, q)
     R, t, n = [], [], []
     for sign in (1, -1):

@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._checks import check_matrices, check_points
 from ._forward_mode import forward_mode
-from .coordinates import _hartley
-from .homography import _homography_sampson
+from .checks import check_matrices, check_points
+from .kernels import hartley, squared_homography_sampson
 from .losses import marginal_score, marginal_weight
 
 _TOLERANCE = 1e-7  # of the score: the gain of a step at convergence
@@ -76,7 +75,7 @@ def refine_homography(
         raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
     if len(x1) < _LEAST_MATCHES:
         return H / H[2, 2]
-    (n1, T1), (n2, T2) = _hartley(x1), _hartley(x2)
+    (n1, T1), (n2, T2) = hartley(x1), hartley(x2)
     scale1, scale2 = T1[0, 0], T2[0, 0]
     G = T2 @ H @ torch.linalg.inv(T1)
     G = G / G[2, 2]
@@ -133,8 +132,8 @@ def _attach_derivatives(
     """One exact Newton step from the maximum, recorded through the data only: first derivatives are
     right."""
     (_, T1), (_, T2) = (
-        _hartley(x1.detach()),
-        _hartley(x2.detach()),
+        hartley(x1.detach()),
+        hartley(x2.detach()),
     )  # coordinates in which the Hessian is benign
     G = T2 @ H @ torch.linalg.inv(T1)
     corner = G[2, 2]
@@ -142,7 +141,7 @@ def _attach_derivatives(
 
     def cost(g: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None) -> Tensor:
         G = torch.cat((g, g.new_ones(1))).view(3, 3)
-        square = _homography_sampson(torch.linalg.inv(T2) @ G @ T1, x1, x2)
+        square = squared_homography_sampson(torch.linalg.inv(T2) @ G @ T1, x1, x2)
         each = marginal_score(square.clamp(max=threshold_px**2), threshold_px)
         return -(each if weights is None else each * weights).sum()
 

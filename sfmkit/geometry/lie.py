@@ -1,56 +1,47 @@
-"""The two curved spaces a relative pose lives on: rotations SO(3) and unit directions S^2.
+"""Rotations SO(3) and unit directions S^2, the two curved spaces of a relative pose.
 
-A small change of the pose is 5 numbers, ``(omega, b)``: ``R <- exp(omega) R`` with omega a rotation
-vector in radians, and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent to the
-sphere at t.
+A small change of the pose is five numbers ``(omega, b)``: ``R <- exp(omega) R`` with omega a
+rotation vector in radians, and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent
+to the sphere at t.
+
+The functions here run in the inner loops of the refinements and check nothing: NaN in gives NaN
+out.
 """
 
 from __future__ import annotations
 
 import torch
+from kornia.geometry.conversions import axis_angle_to_rotation_matrix
+from kornia.geometry.epipolar import cross_product_matrix
 from torch import Tensor
 
 _SERIES = 1e-3  # below this squared angle, Taylor series to the 8th power are exact in float64
 
 
 def hat(w: Tensor) -> Tensor:
-    """``[w]x (*B, 3, 3)`` with ``[w]x v = w x v``, for w ``(*B, 3)``."""
-    x, y, z = w.unbind(-1)
-    o = torch.zeros_like(x)
-    return torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
+    """Return ``[w]x (*B, 3, 3)`` with ``[w]x v = w x v``, for w ``(*B, 3)``. Computed by kornia."""
+    return cross_product_matrix(w)
 
 
 def so3_exp(w: Tensor) -> Tensor:
-    """The rotation by |w| radians about w: ``(*B, 3)`` to ``(*B, 3, 3)``; smooth everywhere, zero
-    included.
+    """Return the rotation by |w| radians about w: ``(*B, 3)`` to ``(*B, 3, 3)``.
+
+    Smooth everywhere, zero included. Computed by kornia's ``axis_angle_to_rotation_matrix``.
 
     Source: Rodrigues' formula; Hartley and Zisserman, 2nd ed., appendix A4.3.2.
     """
-    square = (w * w).sum(-1)
-    small = square < _SERIES
-    angle = torch.where(small, 1.0, square).sqrt()
-    s = torch.where(
-        small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle
-    )
-    half = (angle / 2).sin() / angle
-    c = torch.where(
-        small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), 2 * half * half
-    )
-    W = hat(w)
-    return (
-        torch.eye(3, dtype=w.dtype, device=w.device)
-        + s[..., None, None] * W
-        + c[..., None, None] * (W @ W)
-    )
+    return axis_angle_to_rotation_matrix(w)
 
 
 def so3_log(R: Tensor) -> Tensor:
-    """The rotation vector, |w| <= pi, of R: ``(*B, 3, 3)`` to ``(*B, 3)``; accurate and smooth at
-    the identity.
+    """Return the rotation vector, |w| <= pi, of R: ``(*B, 3, 3)`` to ``(*B, 3)``.
 
-    By way of the unit quaternion, whose outer product with itself is linear in R; its largest
-    column is well away from zero for every R, half turns included (where w jumps between two equal
-    answers).
+    Accurate and smooth at the identity. Computed from the unit quaternion, whose outer product with
+    itself is linear in R; its largest column is well away from zero for every R, half turns
+    included (where w jumps between two equal answers).
+
+    Not kornia's ``rotation_matrix_to_axis_angle`` (0.9.0): its second derivative at the identity is
+    wrong (gradgradcheck fails there; see ``tests/geometry/test_kornia.py``).
 
     Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, JGCD 2000
     (the matrix).
@@ -73,9 +64,8 @@ def so3_log(R: Tensor) -> Tensor:
     square = (v * v).sum(-1)
     small = square < _SERIES
     length = torch.where(small, 1.0, square).sqrt()
-    u = square / torch.where(
-        small, s * s, 1.0
-    )  # tan^2 of the half angle; used where it is small only
+    # tan^2 of the half angle; used only where it is small
+    u = square / torch.where(small, s * s, 1.0)
     series = (
         2 / torch.where(small, s, 1.0) * (1 - u / 3 + u * u / 5 - u**3 / 7 + u**4 / 9 - u**5 / 11)
     )
@@ -83,10 +73,10 @@ def so3_log(R: Tensor) -> Tensor:
 
 
 def tangent_basis(t: Tensor) -> Tensor:
-    """An orthonormal basis ``(*B, 3, 2)`` of the plane perpendicular to t ``(*B, 3)``; t, b1, b2
-    are right-handed.
+    """Return an orthonormal basis ``(*B, 3, 2)`` of the plane perpendicular to t ``(*B, 3)``.
 
-    Continuous except where t changes which axis it is furthest from.
+    t, b1, b2 are right-handed. Continuous except where the axis with the smallest component of t
+    changes. kornia 0.9.0 has no counterpart.
 
     Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t
     to an axis).
@@ -101,16 +91,16 @@ def tangent_basis(t: Tensor) -> Tensor:
 
 
 def sphere_exp(t: Tensor, v: Tensor) -> Tensor:
-    """Walk |v| radians along the great circle from unit t in the tangent direction v, both
-    ``(*B, 3)``."""
+    """Move |v| radians along the great circle from unit t in the tangent direction v.
+
+    t and v are ``(*B, 3)``. kornia 0.9.0 has no counterpart.
+    """
     square = (v * v).sum(-1, keepdim=True)
     small = square < _SERIES
     angle = torch.where(small, 1.0, square).sqrt()
     s = torch.where(
         small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle
     )
-    moved = (
-        torch.where(small, 1 - square / 2 * (1 - square / 12 * (1 - square / 30)), angle.cos()) * t
-        + s * v
-    )
+    c = torch.where(small, 1 - square / 2 * (1 - square / 12 * (1 - square / 30)), angle.cos())
+    moved = c * t + s * v
     return moved / moved.norm(dim=-1, keepdim=True)

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._checks import _traced, check_matrices, check_points
 from ._rays import components, cross, dot, image_ray, rotated_ray
+from .checks import _traced, check_matrices, check_points
 
 
 def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._checks import _traced, check_intrinsics, check_points
 from ._forward_mode import forward_mode
-from .coordinates import _normalize, inverse_intrinsics, to_homogeneous
+from .checks import _traced, check_intrinsics, check_points
+from .coordinates import to_homogeneous
+from .kernels import inverse_intrinsics, normalize
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .losses import Loss, LossTerms, loss_terms
 from .pose import check_pose
@@ -99,12 +100,12 @@ def refine_essential(
     except RuntimeError:
         raise InputError("the batch shapes of R, t, x1, K1 and K2 do not go together") from None
     dtype = x1.dtype
-    matches = _matches(x1, x2, K1, K2, weights)
-    fixed = _Matches(*(None if a is None else a.detach() for a in matches))  # type: ignore[arg-type]
-    objective = _Objective(loss, loss_scale)
+    matches = bearings(x1, x2, K1, K2, weights)
+    fixed = Bearings(*(None if a is None else a.detach() for a in matches))  # type: ignore[arg-type]
+    objective = Objective(loss, loss_scale)
     R = R.detach().double().expand(*batch, 3, 3)
     t = torch.nn.functional.normalize(t.detach().double(), dim=-1).expand(*batch, 3)
-    R, t, cost, iterations, converged = _minimise(R, t, fixed, objective, max_iterations)
+    R, t, cost, iterations, converged = minimise(R, t, fixed, objective, max_iterations)
     differentiated = torch.is_grad_enabled() and any(
         a is not None and a.requires_grad for a in matches
     )
@@ -113,7 +114,7 @@ def refine_essential(
     return EssentialRefinement(R.to(dtype), t.to(dtype), cost.to(dtype), iterations, converged)
 
 
-class _Objective(NamedTuple):
+class Objective(NamedTuple):
     loss: Loss
     scale: float
 
@@ -121,7 +122,7 @@ class _Objective(NamedTuple):
         return loss_terms(self.loss, square, self.scale)
 
 
-class _Matches(NamedTuple):
+class Bearings(NamedTuple):
     """Rays and what turns lines in normalised coordinates into lines in pixels."""
 
     h1: Tensor  # (*B, 3, N) homogeneous normalised points of image 1
@@ -131,13 +132,13 @@ class _Matches(NamedTuple):
     weights: Tensor | None
 
 
-def _matches(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, weights: Tensor | None) -> _Matches:
+def bearings(x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, weights: Tensor | None) -> Bearings:
     h1, h2 = (
-        to_homogeneous(_normalize(x.double(), K.double())).mT.contiguous()
+        to_homogeneous(normalize(x.double(), K.double())).mT.contiguous()
         for x, K in ((x1, K1), (x2, K2))
     )
     S1, S2 = (inverse_intrinsics(K.double()).mT[..., :2, :2] for K in (K1, K2))
-    return _Matches(h1, h2, S1, S2, None if weights is None else weights.double())
+    return Bearings(h1, h2, S1, S2, None if weights is None else weights.double())
 
 
 class _Residual(NamedTuple):
@@ -147,7 +148,7 @@ class _Residual(NamedTuple):
     line2: Tensor
 
 
-def _residual(E: Tensor, m: _Matches) -> _Residual:
+def _residual(E: Tensor, m: Bearings) -> _Residual:
     Eh1 = E @ m.h1
     line2 = m.S2 @ Eh1[..., :2, :]
     line1 = m.S1 @ (E.mT[..., :2, :] @ m.h2)
@@ -156,13 +157,13 @@ def _residual(E: Tensor, m: _Matches) -> _Residual:
     return _Residual((m.h2 * Eh1).sum(-2) * q, q, line1, line2)
 
 
-def _total(terms: LossTerms, m: _Matches) -> Tensor:
+def _total(terms: LossTerms, m: Bearings) -> Tensor:
     value = terms.value if m.weights is None else m.weights * terms.value
     return 0.5 * value.sum(-1)
 
 
 def _linearise(
-    residual: _Residual, terms: LossTerms, m: _Matches, near: Tensor
+    residual: _Residual, terms: LossTerms, m: Bearings, near: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Gradient (*B, 9) and robust Gauss-Newton matrix (*B, 9, 9) by the entries of E; near (*B,)
     the minimum or not.
@@ -203,8 +204,8 @@ def _move(R: Tensor, t: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
     return so3_exp(step[..., :3]) @ R, sphere_exp(t, turn)
 
 
-def _minimise(
-    R: Tensor, t: Tensor, m: _Matches, objective: _Objective, max_iterations: int
+def minimise(
+    R: Tensor, t: Tensor, m: Bearings, objective: Objective, max_iterations: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Levenberg-Marquardt, every batch item at its own pace: R, t, cost history, iterations,
     converged."""
@@ -256,12 +257,12 @@ def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
 
 
 def _attach_derivatives(
-    R: Tensor, t: Tensor, fixed: _Matches, matches: _Matches, objective: _Objective
+    R: Tensor, t: Tensor, fixed: Bearings, matches: Bearings, objective: Objective
 ) -> tuple[Tensor, Tensor]:
     """One exact Newton step from the minimum, recorded through the data only: same values, first
     derivatives right."""
 
-    def cost(step: Tensor, m: _Matches) -> Tensor:
+    def cost(step: Tensor, m: Bearings) -> Tensor:
         R_new, t_new = _move(R, t, step)
         return _total(objective(_residual(hat(t_new) @ R_new, m).r ** 2), m).sum()
 

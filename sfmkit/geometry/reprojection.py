@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._checks import check_intrinsics, check_matrices, check_points
+from .checks import check_intrinsics, check_matrices, check_points
 from .distortion import distort
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..errors import DegenerateGeometryError, InputError
-from ._checks import check_kind, check_values
+from .checks import check_kind, check_values
 
 
 class Similarity(NamedTuple):

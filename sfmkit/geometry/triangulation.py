@@ -29,8 +29,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._checks import check_matrices, check_points
 from ._rays import Vector, choose, components, cross, dot, image_ray, rotate, rotated_ray
+from .checks import check_matrices, check_points
 from .pose import check_pose
 
 Method = Literal["optimal", "midpoint", "dlt"]

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..estimation.planar import PlanarFit, estimate_planar
-from ..geometry.homography import homography_sampson, transfer
+from ..geometry.homography import squared_homography_sampson_distance, transfer
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
@@ -203,7 +203,7 @@ def _guide(
             < _SETTLED_PX
         ):
             break
-    inliers = homography_sampson(H, corr.x1, corr.x2) < planar.threshold_px**2
+    inliers = squared_homography_sampson_distance(H, corr.x1, corr.x2) < planar.threshold_px**2
     return PlanarFit(H, inliers, fit.reason, fit.evidence), guided
 
 
@@ -216,7 +216,7 @@ def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
     exactly in the plane, should not decide for the whole image: the more matches in its cell of a
     grid, the less one counts.
     """
-    e = homography_sampson(H, guided.x1, guided.x2).sqrt()
+    e = squared_homography_sampson_distance(H, guided.x1, guided.x2).sqrt()
     weight = _WORST_RATIO - guided.ratio
     for k in range(len(guided.operators)):
         mine = guided.operator_id == k

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 
 from ..estimation import undistorted_pixels
 from ..geometry.coordinates import normalize
-from ..geometry.fundamental import sampson_distance
-from ..geometry.homography import transfer_error
+from ..geometry.fundamental import signed_sampson_distance
+from ..geometry.homography import squared_transfer_error
 from ..geometry.pose import cheirality
 from ..types import Correspondences, Features, Matches, PointCloud, TwoView, Verdict
 
@@ -58,10 +58,10 @@ def trace(
     distance = torch.full((n,), torch.nan, dtype=torch.float64)
     fate = np.full(n, NO_GEOMETRY, dtype=object)
     if view.verdict is Verdict.PURE_ROTATION and view.H is not None:
-        distance = transfer_error(view.H, x1, x2).sqrt()
+        distance = squared_transfer_error(view.H, x1, x2).sqrt()
         fate[:] = OFF_HOMOGRAPHY
     elif view.F is not None:
-        distance = sampson_distance(view.F, x1, x2).abs()
+        distance = signed_sampson_distance(view.F, x1, x2).abs()
         if view.verdict is not Verdict.TOO_LITTLE:
             fate[:] = OFF_LINE
     if view.R is not None and view.t is not None:

@@ -9,17 +9,17 @@ from made_up_scene import make_scene
 from torch.autograd import gradcheck
 
 from sfmkit.errors import DegenerateGeometryError, InputError
-from sfmkit.geometry.fundamental import unit_norm
 from sfmkit.geometry.homography import (
     decompose_homography,
     homography_4point,
     homography_dlt,
     homography_from_pose,
-    homography_sampson,
-    symmetric_transfer_error,
+    squared_homography_sampson_distance,
+    squared_symmetric_transfer_error,
+    squared_transfer_error,
     transfer,
-    transfer_error,
 )
+from sfmkit.geometry.kernels import unit_norm
 
 PLANE = make_scene(60, planar=True)
 H = homography_from_pose(PLANE.R, PLANE.t, PLANE.normal, PLANE.distance, PLANE.K1, PLANE.K2)
@@ -28,7 +28,7 @@ NOISY = make_scene(60, noise=0.5, planar=True)
 
 def test_plane_and_pose_give_the_homography_of_the_points():
     assert torch.allclose(transfer(H, PLANE.x1), PLANE.x2, rtol=0, atol=1e-10)
-    assert float(symmetric_transfer_error(H, PLANE.x1, PLANE.x2).max()) < 1e-20
+    assert float(squared_symmetric_transfer_error(H, PLANE.x1, PLANE.x2).max()) < 1e-20
 
 
 @pytest.mark.parametrize("solve", [homography_dlt, lambda a, b: homography_4point(a[:4], b[:4])])
@@ -57,8 +57,8 @@ def test_sampson_distance_is_half_the_squared_shift_of_a_translation():
     shift = torch.tensor([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
     x = torch.tensor([[10.0, 20.0]], dtype=torch.float64)
     moved = x + torch.tensor([5.0, 3.0], dtype=torch.float64)  # 3 px off, shared by both images
-    assert homography_sampson(shift, x, moved).item() == pytest.approx(4.5)
-    assert transfer_error(shift, x, moved).item() == pytest.approx(9.0)
+    assert squared_homography_sampson_distance(shift, x, moved).item() == pytest.approx(4.5)
+    assert squared_transfer_error(shift, x, moved).item() == pytest.approx(9.0)
 
 
 def test_decomposition_holds_the_true_pose_and_plane_and_matches_opencv():
@@ -143,5 +143,9 @@ def test_derivatives():
     eye = torch.eye(3).double()
     assert gradcheck(lambda M: decompose_homography(M, eye, eye), (small,))
     xn = torch.rand(6, 2, dtype=torch.float64, requires_grad=True)
-    for function in (transfer_error, symmetric_transfer_error, homography_sampson):
+    for function in (
+        squared_transfer_error,
+        squared_symmetric_transfer_error,
+        squared_homography_sampson_distance,
+    ):
         assert gradcheck(lambda M, x, f=function: f(M, x, x.flip(0)), (small, xn))

@@ -19,10 +19,10 @@ from sfmkit.geometry.essential import essential_from_pose
 from sfmkit.geometry.fundamental import (
     fundamental_8point,
     fundamental_from_pose,
-    sampson_distance,
-    unit_norm,
+    signed_sampson_distance,
 )
-from sfmkit.geometry.homography import homography_dlt, homography_sampson
+from sfmkit.geometry.homography import homography_dlt, squared_homography_sampson_distance
+from sfmkit.geometry.kernels import unit_norm
 from sfmkit.geometry.lie import so3_exp
 from sfmkit.geometry.pose import cheirality, relative_pose, rotation_error, translation_error
 from sfmkit.geometry.refinement import refine_essential
@@ -154,7 +154,8 @@ def test_distances_in_pixels_scale_and_otherwise_stay(seed, change):
     b = change(a)
     order = change.order(len(a.x1))
     before, after = (
-        sampson_distance(fundamental_from_pose(c.R, c.t, c.K1, c.K2), c.x1, c.x2) for c in (a, b)
+        signed_sampson_distance(fundamental_from_pose(c.R, c.t, c.K1, c.K2), c.x1, c.x2)
+        for c in (a, b)
     )
     torch.testing.assert_close(
         after.abs(), before[order].abs() * b.pixel, rtol=1e-7, atol=1e-9 * b.pixel
@@ -183,7 +184,7 @@ def test_eight_points_see_the_same_geometry(seed, change):
     b = change(a)
     order = change.order(len(a.x1))
     before, after = (
-        sampson_distance(fundamental_8point(c.x1, c.x2), c.x1, c.x2).abs() for c in (a, b)
+        signed_sampson_distance(fundamental_8point(c.x1, c.x2), c.x1, c.x2).abs() for c in (a, b)
     )
     torch.testing.assert_close(after, before[order] * b.pixel, rtol=1e-5, atol=1e-7 * b.pixel)
 
@@ -202,7 +203,9 @@ def test_a_homography_is_the_same_map(seed, change):
     a = Task(s.x1, s.x2, s.K1, s.K2, s.R, s.t)
     b = change(a)
     order = change.order(len(a.x1))
-    before, after = (homography_sampson(homography_dlt(c.x1, c.x2), c.x1, c.x2) for c in (a, b))
+    before, after = (
+        squared_homography_sampson_distance(homography_dlt(c.x1, c.x2), c.x1, c.x2) for c in (a, b)
+    )
     torch.testing.assert_close(after, before[order] * b.pixel**2, rtol=1e-5, atol=1e-9 * b.pixel**2)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from torch.autograd import gradcheck
 
 from sfmkit.errors import DegenerateGeometryError, InputError
-from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
+from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from sfmkit.geometry.lie import so3_exp
 from sfmkit.geometry.pose import rotation_error, translation_error
 from sfmkit.geometry.refinement import refine_essential
@@ -38,7 +38,7 @@ def test_minimum_is_scipys(loss, name):
     def residuals(p: np.ndarray) -> np.ndarray:
         R = torch.from_numpy(Rotation.from_rotvec(p[:3]).as_matrix()) @ s.R
         t = torch.from_numpy(p[3:] / np.linalg.norm(p[3:]))
-        return sampson_distance(fundamental_from_pose(R, t, s.K1, s.K2), s.x1, s.x2).numpy()
+        return signed_sampson_distance(fundamental_from_pose(R, t, s.K1, s.K2), s.x1, s.x2).numpy()
 
     ours = refine_essential(*start(s), s.x1, s.x2, s.K1, s.K2, loss=loss, loss_scale=0.8)
     theirs = least_squares(

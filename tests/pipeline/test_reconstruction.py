@@ -11,7 +11,7 @@ import torch
 from sfmkit import reconstruct
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import CameraError, InputError, OperatorError
-from sfmkit.geometry.fundamental import fundamental_from_pose, sampson_distance
+from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from sfmkit.geometry.pose import rotation_error, translation_error
 from sfmkit.io.cameras import parse_intrinsics, read_truth
 from sfmkit.io.images import read_image
@@ -125,7 +125,7 @@ def within_a_pixel(result, camera, truth) -> float:
     K = torch.tensor(camera.K)
     F = fundamental_from_pose(*(torch.as_tensor(a) for a in truth), K, K)
     rows = result.cloud.match
-    d = sampson_distance(F, result.correspondences.x1[rows], result.correspondences.x2[rows])
+    d = signed_sampson_distance(F, result.correspondences.x1[rows], result.correspondences.x2[rows])
     return float((d.abs() < 1).double().mean())
 
 

@@ -11,7 +11,7 @@ import sfmkit.pipeline.registration as registration
 from sfmkit.errors import InputError
 from sfmkit.estimation.planar import PlanarOptions, estimate_planar
 from sfmkit.features import detect
-from sfmkit.geometry.homography import homography_sampson, transfer
+from sfmkit.geometry.homography import squared_homography_sampson_distance, transfer
 from sfmkit.geometry.homography_refinement import refine_homography
 from sfmkit.matching.guided import match_guided
 from sfmkit.metrics import corner_error
@@ -143,8 +143,8 @@ def test_refinement_is_least_squares_for_small_noise():
     reference, _ = cv2.findHomography(corr.x1.numpy(), corr.x2.numpy(), 0)
     assert corner_error(H.numpy(), reference, (800, 640)) < 0.01
     assert (
-        homography_sampson(H, corr.x1, corr.x2).mean()
-        <= homography_sampson(T, corr.x1, corr.x2).mean()
+        squared_homography_sampson_distance(H, corr.x1, corr.x2).mean()
+        <= squared_homography_sampson_distance(T, corr.x1, corr.x2).mean()
     )
     assert torch.allclose(refine_homography(3 * T, corr.x1[:5], corr.x2[:5]), T), (
         "too few: as given, scaled"

@@ -1,4 +1,4 @@
-"""What every function of this package asks of its tensors before it computes with them."""
+"""Input checks shared by the functions of this package: type, shape, finite values."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from ..errors import DegenerateGeometryError, InputError
 
 
 def _traced() -> bool:
-    """Whether values cannot be looked at: inside a torch.func transform or torch.compile."""
+    """Return whether values cannot be read: inside a torch.func transform or torch.compile."""
     return torch.compiler.is_compiling() or torch._C._functorch.maybe_current_level() is not None
 
 
 def check_values(**tensors: Tensor | None) -> None:
-    """Raise InputError unless every tensor is finite. Says nothing inside torch.func transforms and
-    torch.compile."""
+    """Raise InputError unless every tensor is finite.
+
+    Does nothing inside torch.func transforms and torch.compile, where values cannot be read.
+    """
     if _traced():
         return
     for name, a in tensors.items():
@@ -28,14 +30,18 @@ def check_values(**tensors: Tensor | None) -> None:
 
 
 def check_kind(**tensors: Tensor | None) -> None:
-    """Raise InputError unless all (but None) are float32 or all float64 tensors on one device."""
+    """Raise InputError unless all tensors are float32, or all float64, on one device.
+
+    None is skipped.
+    """
     first: tuple[str, Tensor] | None = None
     for name, a in tensors.items():
         if a is None:
             continue
         if not isinstance(a, Tensor):
             raise InputError(
-                f"{name} must be a torch tensor, not {type(a).__name__}; torch.as_tensor makes one"
+                f"{name} must be a torch tensor, not {type(a).__name__}; convert it with "
+                "torch.as_tensor"
             )
         if a.dtype not in (torch.float32, torch.float64):
             raise InputError(
@@ -49,15 +55,17 @@ def check_kind(**tensors: Tensor | None) -> None:
             )
         elif a.device != first[1].device:
             raise InputError(
-                f"{name} is on {a.device} but {first[0]} on {first[1].device}; move both to one device"
+                f"{name} is on {a.device} but {first[0]} is on {first[1].device}; "
+                "move both to one device"
             )
 
 
 def check_points(
     minimum: int = 0, weights: Tensor | None = None, *, dim: int = 2, **points: Tensor
 ) -> None:
-    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind, and weights
-    (*B, N) or (N,).
+    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind.
+
+    weights, where given, must be (*B, N) or (N,).
 
     Raises:
         InputError: wrong shape, dtype or device, mismatched batches, NaN or infinity, negative
@@ -72,7 +80,8 @@ def check_points(
             raise InputError(f"{name} must have shape (*B, N, {dim}), not {tuple(x.shape)}")
         if x.shape != shape:
             raise InputError(
-                f"{name} has shape {tuple(x.shape)} but {first} has {tuple(shape)}; they must be the same"
+                f"{name} has shape {tuple(x.shape)} but {first} has {tuple(shape)}; "
+                "they must be the same"
             )
     if shape[-2] < minimum:
         raise DegenerateGeometryError(
@@ -82,7 +91,8 @@ def check_points(
         )
     if weights is not None and tuple(weights.shape) not in (tuple(shape[:-1]), (shape[-2],)):
         raise InputError(
-            f"weights must have shape {tuple(shape[:-1])}, one for each point, not {tuple(weights.shape)}"
+            f"weights must have shape {tuple(shape[:-1])}, one for each point, "
+            f"not {tuple(weights.shape)}"
         )
     check_values(**points, weights=weights)
     if weights is not None and not _traced() and weights.numel() and bool((weights < 0).any()):
@@ -92,8 +102,10 @@ def check_points(
 def check_matrices(
     like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor
 ) -> None:
-    """Raise InputError unless all are finite tensors (*B, *shape) of one kind (that of `like` where
-    given)."""
+    """Raise InputError unless all are finite tensors (*B, *shape) of one dtype and device.
+
+    `like`, where given, must have that dtype and device too.
+    """
     check_kind(points=like, **matrices)
     for name, M in matrices.items():
         if tuple(M.shape[-len(shape) :]) != shape:
@@ -104,8 +116,7 @@ def check_matrices(
 
 
 def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
-    """Raise InputError unless all are invertible intrinsics
-    ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
+    """Raise InputError unless all are invertible ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
     check_matrices(like, shape=(3, 3), **cameras)
     if _traced():
         return
@@ -121,16 +132,34 @@ def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
 
 
 def check_determined(gap: Tensor, dtype: torch.dtype, model: str, hint: str) -> None:
-    """Raise DegenerateGeometryError when a linear system leaves more than one solution in every
-    member of a batch.
+    """Raise DegenerateGeometryError when no member of a batch determines its linear solution.
 
     Args:
-        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as
-            smallest_singular_vector gives it.
-        dtype: of the points: their rounding alone makes a gap of about its epsilon squared.
+        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as returned by
+            smallest_singular_vector.
+        dtype: of the points: their rounding alone gives a gap of about its epsilon squared.
     """
     if _traced() or gap.numel() == 0:
         return
     noise = max(1e-14, (30 * torch.finfo(dtype).eps) ** 2)
     if bool((gap < noise).all()):
         raise DegenerateGeometryError(f"the points do not determine {model}: {hint}")
+
+
+def check_nonzero(**matrices: Tensor) -> None:
+    """Raise DegenerateGeometryError where a (*B, 3, 3) matrix of a batch is zero."""
+    if _traced():
+        return
+    for name, M in matrices.items():
+        if bool((M == 0).flatten(-2).all(-1).any()):
+            raise DegenerateGeometryError(f"{name} is zero")
+
+
+def check_invertible(**matrices: Tensor) -> None:
+    """Raise DegenerateGeometryError where a (*B, 3, 3) matrix of a batch is singular."""
+    if _traced():
+        return
+    for name, M in matrices.items():
+        inverse, info = torch.linalg.inv_ex(M.detach())
+        if bool((info != 0).any()) or not bool(inverse.isfinite().all()):
+            raise DegenerateGeometryError(f"{name} is singular")
