@@ -7,7 +7,7 @@ local or on a cluster.
 
 from .folder import read_sweep
 from .plan import make_plan
-from .run import Progress, ablate
+from .run import SweepState, ablate
 from .table import AblationTable, read_table
 
-__all__ = ["AblationTable", "Progress", "ablate", "make_plan", "read_sweep", "read_table"]
+__all__ = ["AblationTable", "SweepState", "ablate", "make_plan", "read_sweep", "read_table"]

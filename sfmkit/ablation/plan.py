@@ -4,12 +4,13 @@ estimated, each once."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from .._utils.progress import Progress, silent
 from ..datasets import Pair
 from ..errors import InputError
 from ..features import OPERATOR_PLUGINS, available
@@ -159,7 +160,7 @@ def make_plan(
     root: str | os.PathLike | None = None,
     cache: Cache | None = None,
     images: Path | None = None,
-    say: Callable[[str, str], None] = lambda stage, detail: None,
+    say: Progress = silent,
 ) -> Plan:
     """Lay out a sweep; arguments as for :func:`sfmkit.ablation.ablate`.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from .._utils.progress import Progress
 from ..datasets import Pair
 from ..errors import InputError, OutputError
 from .cache import DEFAULT_LIMIT, Cache, cache_folder
@@ -30,7 +31,7 @@ _TIDY_EVERY = 500  # outcomes
 
 
 @dataclass(frozen=True)
-class Progress:
+class SweepState:
     """How far a sweep is.
 
     Attributes:
@@ -49,7 +50,16 @@ class Progress:
     notes: tuple[str, ...] = ()
 
 
-Watcher = Callable[[Progress], None]
+Watcher = Callable[[SweepState], None]
+
+
+def _planning(watch: Watcher) -> Progress:
+    """The progress of the plan as states of the sweep."""
+
+    def report(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
+        watch(SweepState("plan", what=f"{stage} {detail}"))
+
+    return report
 
 
 def ablate(
@@ -94,7 +104,7 @@ def ablate(
             travel to them and arrays back (``bytes``).
         cache: folder; None: :func:`~.cache.cache_folder`.
         cache_limit: bytes of the cache.
-        progress: called with a :class:`Progress`.
+        progress: called with a :class:`SweepState`.
 
     Raises:
         InputError: whatever is asked for cannot be, the folder holds another sweep or one that
@@ -123,7 +133,7 @@ def ablate(
             )
         return AblationTable(table.data)
     watch: Watcher = progress or (lambda _: None)
-    watch(Progress("plan", what="loading"))
+    watch(SweepState("plan", what="loading"))
     store = Cache(Path(cache) if cache is not None else cache_folder(), cache_limit)
     folder = SweepFolder(out)
     with folder.locked():
@@ -137,7 +147,7 @@ def ablate(
             root=root,
             cache=store,
             images=folder.images,
-            say=lambda stage, detail: watch(Progress("plan", what=f"{stage} {detail}")),
+            say=_planning(watch),
         )
         folder.open(plan)
         store.tidy()
@@ -156,7 +166,7 @@ def ablate(
             )
         Sweep(plan, folder, store, watch).run(engine)
         rows = sum(len(unit.jobs) for unit in plan.units)
-        watch(Progress("merge", rows, rows, str(folder.path), 0.0))
+        watch(SweepState("merge", rows, rows, str(folder.path), 0.0))
         return folder.merge(plan)
 
 
@@ -336,5 +346,7 @@ class Sweep:
         )
 
     def _say(self, what: str, total: int, seconds_left: float | None = None) -> None:
-        self.watch(Progress("run", self._rows_done, total, what, seconds_left, tuple(self._notes)))
+        self.watch(
+            SweepState("run", self._rows_done, total, what, seconds_left, tuple(self._notes))
+        )
         self._notes.clear()

@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import PIL.Image
 
+from .._utils.progress import Progress, silent
 from ..datasets import DATASETS, Pair, Source, find_source
 from ..datasets.pair import HOMOGRAPHY, image_size
 from ..errors import CameraError, InputError
@@ -181,7 +182,7 @@ def find_pairs(
     data: str | os.PathLike | Iterable[str | os.PathLike | Pair],
     root: str | os.PathLike | None,
     cache: Cache | None,
-    say: Callable[[str, str], None] = lambda stage, detail: None,
+    say: Progress = silent,
 ) -> list[Pair]:
     """The pairs that `data` names or is.
 
@@ -213,7 +214,7 @@ def find_pairs(
     return found
 
 
-def _generated(source: Source, cache: Cache | None, say: Callable[[str, str], None]) -> list[Pair]:
+def _generated(source: Source, cache: Cache | None, say: Progress) -> list[Pair]:
     """The pairs of a data set that is computed, from the cache where they are there.
 
     Empty for a data set that is read from the disk.

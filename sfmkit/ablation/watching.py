@@ -19,7 +19,7 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 from rich.text import Text
 
-from .run import Progress, Watcher
+from .run import SweepState, Watcher
 from .table import FAILED, AblationTable
 
 _WIDTH = 130  # of the overview in a file, characters
@@ -62,7 +62,7 @@ def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watche
     with Bars(*columns, console=console, transient=True) as bars:
         task = bars.add_task("", total=None, stage="plan", left=None)
 
-        def watch(p: Progress) -> None:
+        def watch(p: SweepState) -> None:
             for note in p.notes:
                 bars.console.print(note, style="yellow", highlight=False)
             counts = {"completed": p.done, "total": p.total} if p.total else {}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from .._utils.progress import Progress
 from .parsing import names
 from .progress import goes_on
 
@@ -239,24 +240,26 @@ def command_line() -> str:
 
 
 @contextmanager
-def parts_bar(bench: str) -> Iterator[Callable[[int, int, str], None]]:
-    """A progress bar on standard error: a function of parts done, parts in all, and what is being
-    or was done."""
+def parts_bar(bench: str) -> Iterator[Progress]:
+    """Show a progress bar on standard error."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
 
     columns = (
         TextColumn(bench),
         BarColumn(),
-        MofNCompleteColumn(),
+        TaskProgressColumn(),
         TimeElapsedColumn(),
         TextColumn("{task.description}"),
     )
-    with goes_on(), Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total, what: bar.update(
-            task, completed=done, total=total, description=what
-        )
+    with goes_on(), Bars(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def report(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
+            bar.update(task, completed=fraction, description=detail)
+
+        yield report
 
 
 def hand_over(folder: Path, result: Result) -> None:

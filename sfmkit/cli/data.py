@@ -51,23 +51,30 @@ def fetch(name: str, data: Path | None) -> None:
     )
 
     from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskID,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
 
     from ..datasets.fetch import fetch as run
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, TaskID] = {}
 
-        def show(file: str, done: int, total: int | None) -> None:
-            if file not in tasks:
-                tasks[file] = bars.add_task(file, total=total)
-            bars.update(tasks[file], completed=done, total=total)  # type: ignore[arg-type]
+        def show(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
+            if detail not in tasks:
+                tasks[detail] = bars.add_task(detail, total=None if fraction is None else 1.0)
+            bars.update(tasks[detail], completed=fraction)
 
         root = run(spec, data, show)
     click.echo(f"{root}: complete")

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import click
 
+from .._utils.progress import Progress, silent
 from .exit_status import INTERRUPTED
 
 
@@ -22,11 +23,10 @@ def goes_on() -> Iterator[None]:
 
 
 @contextmanager
-def progress(enabled: bool):
-    """A function (stage, detail) that keeps one live line on a terminal, and prints a line a stage
-    elsewhere."""
+def progress(enabled: bool) -> Iterator[Progress]:
+    """Show one live line on a terminal, and print one line per stage elsewhere."""
     if not enabled:
-        yield lambda stage, detail: None
+        yield silent
         return
     from rich.console import Console
 
@@ -34,16 +34,17 @@ def progress(enabled: bool):
     if not console.is_terminal:
         seen: set[str] = set()
 
-        def say(stage: str, detail: str) -> None:
+        def say(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
             if stage not in seen:
                 seen.add(stage)
                 click.echo(f"{stage} ...", err=True)
 
         yield say
         return
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    with Progress(
+    with Bars(
         SpinnerColumn(),
         TextColumn("{task.fields[stage]:<12}{task.description}"),
         TimeElapsedColumn(),
@@ -51,4 +52,8 @@ def progress(enabled: bool):
         transient=True,
     ) as bar:
         task = bar.add_task("", total=None, stage="start")
-        yield lambda stage, detail: bar.update(task, stage=stage, description=detail)
+
+        def update(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
+            bar.update(task, stage=stage, description=detail)
+
+        yield update

@@ -12,7 +12,6 @@ cloud have no sign.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +19,7 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from .._utils.progress import Progress
 from ..errors import DegenerateGeometryError, InputError
 from ..geometry.similarity import Similarity, fit_similarity
 from .density import build_tree
@@ -35,8 +35,6 @@ _LEAST_OVERLAP = 0.3  # share of the points that must find a partner
 _EXACT = 1e-9  # of the size of a cloud: less is rounding
 _TRIM_POWER = 3  # weighs a small distance against a large share (Chetverikov's 1 + lambda)
 _AMBIGUOUS = 0.8  # a rival start that ends as near as this makes the result doubtful
-
-Progress = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +114,7 @@ def align(
         pairs: (P, 2) rows of `a` and of `b` that show the same, three or more, to start from;
             without them every orientation is tried around the principal axes.
         seed: of the choice of points that are looked at.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Raises:
         InputError: unusable points or pairs.

@@ -3,20 +3,18 @@ frames may differ."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from .._utils.progress import Progress
 from ..types import PointCloud
 from .alignment import Alignment, align
 from .density import Density, build_tree, count_neighbours, density
 
 _BLOCK = 200_000  # points whose nearest one is looked for at a time
-
-Progress = Callable[[str, str], None]
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ def compare(
         pairs: (P, 2) rows of the clouds that show the same, to start from; see
             :func:`sfmkit.clouds.alignment.align`.
         seed: of the alignment.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Raises:
         InputError: unusable clouds, radius or pairs.

@@ -8,7 +8,6 @@ holds, as its wiki says of the point itself and as the tests find, point by poin
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, isfinite, pi, sqrt
@@ -16,6 +15,7 @@ from math import ceil, isfinite, pi, sqrt
 import numpy as np
 from scipy.spatial import KDTree
 
+from .._utils.progress import Progress
 from ..errors import InputError
 
 RADIUS_IN_SPACINGS = (
@@ -24,8 +24,6 @@ RADIUS_IN_SPACINGS = (
 MAX_PAIRS = 20_000_000_000  # neighbours of all points together: minutes on two cores
 BLOCK = 100_000  # points counted between two words of progress
 _PROBES = 1_000  # points that tell what the rest will cost
-
-Progress = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +82,7 @@ def density(
     Args:
         xyz: (N, 3) points.
         radius: R in the unit of `xyz`; None for :func:`automatic_radius`.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Raises:
         InputError: see :func:`count_neighbours` and :func:`automatic_radius`.
@@ -152,7 +150,7 @@ def count_neighbours(
     Args:
         points: (N, 3) points or their :func:`build_tree`.
         radius: in the unit of the points; a distance of exactly `radius` is within.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Returns:
         (N,) int64, at least 1.

@@ -13,19 +13,17 @@ Pauly, Gross & Kobbelt 2002 for the surface variation):
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from math import ceil
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from .._utils.progress import Progress
 from .density import BLOCK, build_tree, check_radius
 
 NEIGHBOURS = 20  # enough for a covariance, and few enough that all but lonely points have them
 _PAIRS = 2_000_000  # neighbours listed at a time
-
-Progress = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,7 @@ def local_shape(
         neighbours: (N,) how many there are, from :func:`sfmkit.clouds.density.count_neighbours`.
         most: of a larger cloud this many points are judged, taken evenly.
         seed: of the draw.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Raises:
         InputError: unusable points or radius.

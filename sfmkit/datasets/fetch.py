@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,13 +12,12 @@ from tempfile import TemporaryDirectory
 import pooch
 import requests
 
+from .._utils.progress import Progress
 from .._utils.writing import staged_folder
 from ..errors import InputError
 from .archives import unpack
 from .catalog import DatasetSpec, Download, check_folder
 from .pair import VARIABLE, download_folder
-
-Progress = Callable[[str, int, int | None], None]  # what, bytes so far, bytes in all if known
 
 _CHUNK = 1 << 17
 _TIMEOUT_S = 30
@@ -36,7 +34,7 @@ def fetch(
     Args:
         data: the folder to put the data set's folder into; None for ``sfmkit`` in the user's cache
             folder.
-        progress: called with (file, bytes so far, bytes in all or None).
+        progress: called with (``download``, file) and the fraction of the file that is there.
 
     Returns:
         the data set's folder.
@@ -157,7 +155,8 @@ class _Resuming:
                     out.write(chunk)
                     done += len(chunk)
                     if self.progress is not None:
-                        self.progress(url.rsplit("/", 1)[-1], done, total)
+                        share = None if not total else done / total
+                        self.progress("download", url.rsplit("/", 1)[-1], fraction=share)
         if total is not None and done < total:
             raise requests.ConnectionError(
                 f"the connection closed after {done:,} of {total:,} bytes"

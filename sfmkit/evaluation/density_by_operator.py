@@ -15,7 +15,6 @@ doing.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from .._utils.progress import Progress
 from .._utils.writing import staged_folder
 from ..clouds.density import Density, Histogram, default_classes, density, histogram
 from ..clouds.local_shape import LocalShape, local_shape
@@ -33,8 +33,6 @@ from .effect_size import Effect, cliffs_delta
 EDGE_SHARE = 0.25  # of the points counts as edge
 CELL = 4  # width of what the bootstrap draws, in radii: beyond that counts share no points
 _FEW = (100, 10)  # points and cells that a comparison needs
-
-Progress = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ def density_report(
 
     Args:
         radius: in the unit of the cloud; None for ten times the spacing of its points.
-        progress: told the stage and how far it is.
+        progress: called with (stage, detail).
 
     Raises:
         InputError: see :func:`sfmkit.clouds.density.density`.

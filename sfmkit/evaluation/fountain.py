@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.progress import Progress
 from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.strecha import strecha
@@ -45,7 +46,7 @@ from ..pipeline.reconstruction import (
     pose_errors,
 )
 from ..types import Camera, Correspondences, Matches, PointCloud, TwoView
-from .rows import Progress, Row, RowStore, finite
+from .rows import Row, RowStore, finite
 
 SEQUENCE = "fountain-P11"
 RIGHT_PX = (
@@ -117,7 +118,7 @@ def bench_fountain(
         label = what.name if isinstance(what, Pair) else what
         picture = Path(out) / cloud_picture(preset) if what is chosen[0] else None
         if progress is not None:
-            progress(done, len(parts), f"{label}, {preset}")
+            progress("fountain", f"{label}, {preset}", fraction=done / len(parts))
         if (kind, label, preset) in have and (picture is None or picture.exists()):
             continue
         options = PRESETS[preset]
@@ -130,7 +131,7 @@ def bench_fountain(
             store.append(new)
             rows += new
     if progress is not None:
-        progress(len(parts), len(parts), "")
+        progress("fountain", fraction=1.0)
     wanted = {("cloud", p.name) for p in chosen} | {("scene", s) for s in scenes}
     return [
         r

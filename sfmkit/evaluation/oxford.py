@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from .._utils.progress import Progress
 from .._version import __version__
 from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
@@ -41,7 +42,7 @@ from ..pipeline.account import ALL
 from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, FeaturePairs
 from ..pipeline.registration import fuse_all, register_matches
 from ..types import Correspondences, Features, Matches
-from .rows import Progress, Row, RowStore, finite
+from .rows import Row, RowStore, finite
 
 FLOOR = "floor"
 OURS, PAPERS = "ours", "paper"
@@ -95,7 +96,7 @@ def bench_oxford(
     missing = [pair for pair in pairs if (pair.sequence, pair.name) not in have]
     done = len(pairs) - len(missing)
     if progress is not None:
-        progress(done, len(pairs), "")
+        progress("oxford", fraction=done / len(pairs))
     workers = min(workers or os.cpu_count() or 1, max(len(missing), 1))
     if workers == 1:
         results: Iterable[tuple[Pair, list[Row]]] = (
@@ -131,7 +132,7 @@ def _keep(
     store.append(new)
     rows += new
     if progress is not None:
-        progress(done, total, f"{pair.sequence} {pair.name}")
+        progress("oxford", f"{pair.sequence} {pair.name}", fraction=done / total)
 
 
 def _one_thread() -> None:

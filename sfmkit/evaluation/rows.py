@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
 
 Row = dict[str, Any]
-Progress = Callable[[int, int, str], None]  # parts done, parts in all, what was done last
 
 
 def finite(value: float | None) -> float | None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from .._utils.progress import Progress
 from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.uav import uav
@@ -27,7 +28,7 @@ from ..pipeline.account import ALL
 from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, reconstruct
 from ..types import Camera, PointCloud
 from . import colmap_peer
-from .rows import Progress, Row, RowStore
+from .rows import Row, RowStore
 
 SMALL, WIDE = "small shift", "wide baseline"
 WIDE_STEP = 4  # photographs between those of a wide pair, where there are as many
@@ -172,11 +173,8 @@ def bench_uav(
     for done, (kind, case, what, preset) in enumerate(parts):
         label = what.name if isinstance(what, Pair) else what
         if progress is not None:
-            progress(
-                done,
-                len(parts),
-                f"{case}, {f'{label}, {preset}' if preset else f'COLMAP, {label} photographs'}",
-            )
+            which = f"{label}, {preset}" if preset else f"COLMAP, {label} photographs"
+            progress("uav", f"{case}, {which}", fraction=done / len(parts))
         if (kind, case, label, preset) in have:
             continue
         if isinstance(what, Pair):
@@ -202,7 +200,7 @@ def bench_uav(
     for path, cloud in given.items():
         rows += _given_rows(Path(path), cloud, flight, presets, target, out)
     if progress is not None:
-        progress(len(parts), len(parts), "")
+        progress("uav", fraction=1.0)
     return rows
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import warnings as python_warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.progress import Progress
 from ..errors import CameraError, InputError, OperatorError
 from ..estimation import Adjustment, adjust, estimate_two_view, undistorted_pixels
 from ..features import detect
@@ -38,7 +39,6 @@ OPERATORS_OF_THE_PAPER = ("surf", "orb", "fast-brief")
 ImageLike = Image | np.ndarray | str | PathLike
 CameraLike = Camera | np.ndarray | str | PathLike
 FeaturePairs = Mapping[str, tuple[Features, Features]]
-Progress = Callable[[str, str], None]  # stage, what is being done
 
 
 @dataclass(frozen=True, eq=False)

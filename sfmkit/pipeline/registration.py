@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .._utils.progress import Progress
 from ..estimation.planar import PlanarFit, estimate_planar
 from ..geometry.homography import squared_homography_sampson_distance, transfer
 from ..geometry.homography_refinement import refine_homography
@@ -30,7 +31,6 @@ from .reconstruction import (
     OPERATORS_OF_THE_PAPER,
     FeaturePairs,
     ImageLike,
-    Progress,
     Stopwatch,
     detect_all,
     match_all,

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from small_sweep import OPERATORS, InlineEngine, pairs
 
-from sfmkit.ablation import AblationTable, Progress, ablate, run
+from sfmkit.ablation import AblationTable, SweepState, ablate, run
 from sfmkit.errors import InputError, OutputError
 
 pytestmark = pytest.mark.cluster
@@ -112,11 +112,11 @@ def loopback(folder: Path, workers: int = 2) -> Iterator[Cluster]:
         cluster.stop()
 
 
-def kills_after(worker: subprocess.Popen, outcomes: int) -> Callable[[Progress], None]:
+def kills_after(worker: subprocess.Popen, outcomes: int) -> Callable[[SweepState], None]:
     """A watcher that kills a worker once there have been some outcomes."""
     seen = [0]
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: SweepState) -> None:
         seen[0] += progress.stage == "run"
         if seen[0] == outcomes and worker.poll() is None:
             worker.send_signal(signal.SIGKILL)
@@ -209,7 +209,7 @@ def test_clusters_without_workers_of_another_version_and_gone_ones(tmp_path, mon
                     pairs(tmp_path / "images", 1, 0), ["orb"], scheduler=cluster.address, **options
                 )
 
-        def end(progress: Progress) -> None:
+        def end(progress: SweepState) -> None:
             if progress.what.startswith("orb on"):
                 cluster.stop()
 

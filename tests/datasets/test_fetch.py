@@ -117,7 +117,7 @@ def names(folder):
 
 def test_fetch_takes_the_mirror_and_checks_pixels_and_words(spec, server, tmp_path):
     seen = []
-    root = fetch(spec, tmp_path / "data", lambda *a: seen.append(a))
+    root = fetch(spec, tmp_path / "data", lambda *a, **k: seen.append((*a, k["fraction"])))
     assert names(tmp_path / "data") == ["toy/a/H1to2p", "toy/a/img1.ppm"]
     assert seen[-1] == ("a.tar.gz", len(server.files["a.tar.gz"]), len(server.files["a.tar.gz"]))
     asked = len(server.requests)

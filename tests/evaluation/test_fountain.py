@@ -71,15 +71,19 @@ def run(made_up, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     seen = []
     rows = bench_fountain(
-        out, data=made_up, scenes=("courtyard",), progress=lambda *a: seen.append(a), **SMALL
+        out,
+        data=made_up,
+        scenes=("courtyard",),
+        progress=lambda *a, **k: seen.append((*a, k["fraction"])),
+        **SMALL,
     )
     return out, rows, seen
 
 
 def test_rows_are_complete(run):
     out, rows, seen = run
-    assert seen[0] == (0, 6, "0000-0001, paper")
-    assert seen[-1][:2] == (6, 6)
+    assert seen[0] == ("fountain", "0000-0001, paper", 0.0)
+    assert seen[-1] == ("fountain", 1.0)
     clouds = [r for r in rows if r["kind"] == "cloud"]
     # Two pairs, two seeds; the paper's recipe has two operators and all, ours has all unmerged too.
     assert len(clouds) == 2 * 2 * (3 + 4)

@@ -59,9 +59,11 @@ def small_set(tmp_path_factory):
 def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     seen = []
     settings = {"data": small_set, "operators": ("orb", "fast-brief"), "seeds": 2, "workers": 1}
-    rows = bench_oxford(tmp_path, **settings, progress=lambda *a: seen.append(a))
-    assert seen[0][:2] == (0, 5)
-    assert seen[-1] == (5, 5, "graf 1-6")
+    rows = bench_oxford(
+        tmp_path, **settings, progress=lambda *a, **k: seen.append((*a, k["fraction"]))
+    )
+    assert seen[0] == ("oxford", 0.0)
+    assert seen[-1] == ("oxford", "graf 1-6", 1.0)
     mine = estimates(rows)
     assert len(mine) == 5 * 3 * 2 * 2  # pairs, operators and all, recipes, seeds
     assert all(row.keys() >= KEYS for row in mine)
@@ -85,8 +87,10 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     keep = [line for line in lines if '"1-6"' not in line]
     file.write_text("".join(keep) + '{"kind": "estim')
     seen.clear()
-    again = bench_oxford(tmp_path, **settings, progress=lambda *a: seen.append(a))
-    assert [s[0] for s in seen] == [4, 5]
+    again = bench_oxford(
+        tmp_path, **settings, progress=lambda *a, **k: seen.append((*a, k["fraction"]))
+    )
+    assert [s[-1] for s in seen] == [0.8, 1.0]
 
     def timeless(row):
         return {k: v for k, v in row.items() if not k.endswith("seconds")}

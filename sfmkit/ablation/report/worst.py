@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..._utils.progress import Progress
 from ...errors import InputError, SfmError
 from ...io.images import Image, read_image
 from ...pipeline.reconstruction import Reconstruction, reconstruct
@@ -128,7 +129,7 @@ def choose_worst(
     ]
 
 
-def run_again(case: Case, row: Row, progress: Callable[[str, str], None] | None = None) -> Rerun:
+def run_again(case: Case, row: Row, progress: Progress | None = None) -> Rerun:
     """One of a case's runs, from its photographs, with its settings and seed.
 
     Raises:

@@ -7,7 +7,7 @@ outline of image 1, where the truth (white) and the estimate (magenta) put it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import torch
 
+from ..._utils.progress import Progress, silent
 from ..._utils.writing import atomic_write
 from ...errors import OutputError
 from ...geometry.homography import transfer
@@ -38,7 +39,7 @@ _CORNER = rr.Transform3D(
 def save_worst(
     path: str | Path,
     cases: Sequence[Case],
-    say: Callable[[str, str], None] = lambda stage, detail: None,
+    say: Progress = silent,
 ) -> None:
     """Run the cases again and write them, with the layout of their views, to one .rrd file.
 
@@ -74,9 +75,7 @@ def save_worst(
             rec.disconnect()
 
 
-def _log_case(
-    rec: rr.RecordingStream, case: Case, number: int, say: Callable[[str, str], None]
-) -> rrb.Container:
+def _log_case(rec: rr.RecordingStream, case: Case, number: int, say: Progress) -> rrb.Container:
     columns = []
     for run, (name, row) in enumerate(zip(("worst", "best"), case.runs)):
         prefix = f"case{number}/{name}"

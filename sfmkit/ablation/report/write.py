@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..._utils.progress import Progress, silent
 from ..._utils.writing import staged_folder
 from ...errors import InputError
 from ...reports.latex import latex_table
@@ -20,7 +20,6 @@ from .tables import ranking_table, tables
 
 FOLDER, PAGE = "report", "report.html"
 
-Say = Callable[[str, str], None]
 
 _NOTES = (
     "A setup is a combination of operators with a preset. All are compared by the area under the curve (AUC) of the share of "
@@ -53,7 +52,7 @@ class Report:
     findings: tuple[Findings, ...]
 
 
-def write_report(sweep: str | os.PathLike, say: Say = lambda stage, detail: None) -> Report:
+def write_report(sweep: str | os.PathLike, say: Progress = silent) -> Report:
     """Write ``report/`` into a sweep's folder; what was there before is replaced when the new one
     is complete.
 
