@@ -119,7 +119,7 @@ def test_fetch_takes_the_mirror_and_checks_pixels_and_words(spec, server, tmp_pa
     seen = []
     root = fetch(spec, tmp_path / "data", lambda *a, **k: seen.append((*a, k["fraction"])))
     assert names(tmp_path / "data") == ["toy/a/H1to2p", "toy/a/img1.ppm"]
-    assert seen[-1] == ("a.tar.gz", len(server.files["a.tar.gz"]), len(server.files["a.tar.gz"]))
+    assert seen[-1] == ("download", "a.tar.gz", 1.0)
     asked = len(server.requests)
     assert fetch(spec, tmp_path / "data") == root
     assert len(server.requests) == asked, "what is there is not fetched again"
