@@ -141,6 +141,30 @@ def test_colmap_model_moves_half_a_pixel_and_chains_poses(tmp_path):
         list(colmap(tmp_path, images=tmp_path))
 
 
+def colmap_model(tmp_path, *names):
+    lines = [f"{k} 1 0 0 0 {k} 0 0 1 {name}\n\n" for k, name in enumerate(names)]
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 8 6 9 9 4 3\n")
+    (tmp_path / "images.txt").write_text("".join(lines))
+    return tmp_path
+
+
+def test_colmap_pairs_follow_the_natural_order_of_names(tmp_path):
+    names = ["im10.png", "im9.png", "im11 b.png"]
+    for name in names:
+        Image.new("RGB", (8, 6)).save(tmp_path / name)
+    found = list(colmap(colmap_model(tmp_path, *names), images=tmp_path))
+    assert [p.name for p in found] == ["im9-im10", "im10-im11 b"]
+
+
+def test_colmap_images_stay_in_their_folder(tmp_path):
+    Image.new("RGB", (8, 6)).save(tmp_path / "a.png")
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (8, 6)).save(tmp_path / "images" / "b.png")
+    model = colmap_model(tmp_path, "../a.png", "b.png")
+    with pytest.raises(InputError, match=r"'\.\./a\.png' leads out of"):
+        next(colmap(model, images=tmp_path / "images"))
+
+
 def test_pairs_check_their_truth():
     image = np.zeros((4, 4), np.uint8)
     with pytest.raises(InputError, match="H must"):
