@@ -1,7 +1,8 @@
-"""Point clouds as PLY files: ours with their provenance, and anybody's."""
+"""Point clouds as PLY files: with provenance as written here, and from other programs."""
 
 from __future__ import annotations
 
+import io
 import os
 import warnings
 from collections.abc import Mapping
@@ -9,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.lib.recfunctions import structured_to_unstructured
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from .._utils.writing import atomic_write
 from ..errors import InputError
 from ..types import PointCloud
+from .ply_header import Header, read_header, read_words
 
 _BIT = "operator bit "  # a header comment "operator bit 0 = surf" names bit 0 of the masks
 _COVARIANCE = {
@@ -25,6 +26,15 @@ _COVARIANCE = {
     "cyy": (1, 1),
     "cyz": (1, 2),
     "czz": (2, 2),
+}
+_PROVENANCE = {
+    "operators",
+    "operators_high",
+    "operator",
+    "match",
+    "reprojection_error",
+    "parallax",
+    *_COVARIANCE,
 }
 _COLOURS = (
     ("red", "green", "blue"),
@@ -36,12 +46,12 @@ _COLOURS = (
 def write_ply(
     path: str | os.PathLike, cloud: PointCloud, fields: Mapping[str, Tensor] | None = None
 ) -> None:
-    """Write a cloud as binary little-endian PLY, whole or not at all.
+    """Write a cloud as binary little-endian PLY, completely or not at all.
 
     In the frame of camera 1 (x right, y down, z forward), in baselines. Properties of a vertex:
 
-    - ``x y z`` float: what viewers expect, and its 1 in 10^7 lies far below a triangulated point's
-      own error;
+    - ``x y z``: float, which viewers expect; double where float would move points, see
+      :func:`needs_double`;
     - ``red green blue`` uchar;
     - ``operators`` uint: a bit for each operator that found the point, named in the header's
       comments (those from the 33rd on are in ``operators_high``);
@@ -49,18 +59,18 @@ def write_ply(
     - ``match`` int: the point's row in the correspondences;
     - ``reprojection_error`` float, pixels, and ``parallax`` float, degrees;
     - ``cxx cxy cxz cyy cyz czz`` float, where the cloud has covariances;
-    - `fields`, float: names and (M,) tensors of whatever else there is to say of a point, e.g. a
-      density.
+    - `fields`, float: names and (M,) tensors of further values, such as a density.
 
-    A foreign cloud, one without operators, has neither provenance nor a known frame, and none is
-    written.
+    A cloud without operators comes from another program: its provenance and its frame are not
+    known, and none is written.
 
     Raises:
         OutputError: the file cannot be written.
     """
     mask = cloud.operator_mask
+    kind = "<f8" if needs_double(cloud) else "<f4"
     columns: dict[str, tuple[str, Tensor]] = {
-        name: ("<f4", cloud.xyz[:, k]) for k, name in enumerate("xyz")
+        name: (kind, cloud.xyz[:, k]) for k, name in enumerate("xyz")
     }
     columns |= {name: ("u1", cloud.rgb[:, k]) for k, name in enumerate(("red", "green", "blue"))}
     if cloud.operators:
@@ -91,23 +101,46 @@ def write_ply(
         PlyData([element], text=False, byte_order="<", comments=comments).write(temporary)
 
 
-def read_ply(path: str | os.PathLike) -> PointCloud:
-    """Read the vertices of a PLY file, ours or anybody's, ASCII or binary.
+def needs_double(cloud: PointCloud) -> bool:
+    """Whether the positions of a cloud need 64-bit numbers.
 
-    What a foreign file does not tell is: colour mid-grey; no operators, masks 0; ``operator_id`` 0
-    and ``match`` -1; reprojection error and parallax NaN; no covariance. Colours may be bytes, 16
-    bit or floats in [0, 1]. Vertices whose position is not finite are dropped with a warning that
-    counts them. Everything but the vertices is ignored.
+    A cloud made here has its points around the cameras, in baselines: rounding to 32 bit is 1 in
+    10^7, far below a triangulated point's own error. It needs double when it has been moved so far
+    from the origin that rounding exceeds 10^-6 of its extent. A cloud of another program needs
+    double unless its numbers are 32-bit numbers.
+    """
+    xyz = cloud.xyz
+    if not len(xyz):
+        return False
+    if not cloud.operators:
+        return bool((xyz.float().double() != xyz).any())
+    low, high = torch.quantile(_some(xyz), torch.tensor([0.01, 0.99], dtype=xyz.dtype), dim=0)
+    rounding = float(xyz.abs().max()) * torch.finfo(torch.float32).eps / 2
+    return rounding > 1e-6 * float((high - low).norm())
+
+
+def _some(xyz: Tensor) -> Tensor:
+    """At most 100,000 of the points, evenly."""
+    return xyz[:: max(1, len(xyz) // 100_000)]
+
+
+def read_ply(path: str | os.PathLike) -> PointCloud:
+    """Read the vertices of a PLY file, of this package or of another program, ASCII or binary.
+
+    Positions are read in the precision of the file. What a file of another program does not have
+    gets a default: colour mid-grey; no operators, masks 0; ``operator_id`` 0 and ``match`` -1;
+    reprojection error and parallax NaN; no covariance. Colours may be bytes, 16 bit, or floats in
+    [0, 1] or [0, 255]. Vertices whose position is not finite are dropped with a warning that counts
+    them. Lists, normals and everything but the vertices are ignored.
 
     Raises:
-        InputError: no such file, no PLY, a damaged or truncated one, or one without a usable
-            vertex.
+        InputError: no such file, not a PLY file, a damaged or truncated one, or one without a
+            usable vertex. The message has the element and the row where it can.
     """
     path = Path(path)
-    ply = _parse(path)
-    if "vertex" not in ply or not ply["vertex"].count:
+    comments, vertices = _parse(path)
+    if not len(vertices):
         raise InputError(f"{path} holds no vertices")
-    vertices = ply["vertex"].data
     names = {
         name.lower(): name
         for name in vertices.dtype.names or ()
@@ -125,31 +158,36 @@ def read_ply(path: str | os.PathLike) -> PointCloud:
         raise InputError(f"{path}: none of the {count:,} vertices has a finite position")
     if kept < count:
         warnings.warn(
-            f"{path}: {count - kept:,} of {count:,} vertices without a finite position were dropped",
+            f"{path}: {count - kept:,} of {count:,} vertices without a finite position "
+            "were dropped",
             stacklevel=2,
         )
         xyz, vertices = xyz[finite], vertices[finite]
+    operators = _operators(comments)
+    if not operators:  # another program's columns of these names mean something else
+        names = {key: name for key, name in names.items() if key not in _PROVENANCE}
 
     def column(name: str, otherwise: float, dtype: torch.dtype) -> Tensor:
         if name in names:
             return torch.from_numpy(vertices[names[name]].astype(np.float64)).to(dtype)
-        return torch.tensor(otherwise, dtype=dtype).expand(
-            kept
-        )  # one number seen `kept` times: millions cost nothing
+        # one number seen `kept` times: millions take no memory
+        return torch.tensor(otherwise, dtype=dtype).expand(kept)
 
     covariance = None
     if names.keys() >= _COVARIANCE.keys():
         covariance = torch.empty(kept, 3, 3, dtype=torch.float64)
         for name, (i, j) in _COVARIANCE.items():
             covariance[:, i, j] = covariance[:, j, i] = column(name, 0, torch.float64)
-    operators = _operators(ply.comments)
     mask = column("operators", 0, torch.int64)
     if "operators_high" in names:
         mask = mask | column("operators_high", 0, torch.int64) << 32
+    operator_id = column("operator", 0, torch.int64)
+    if operators and not bool(((operator_id >= 0) & (operator_id < len(operators))).all()):
+        raise InputError(f"{path}: a vertex has an operator that the header does not name")
     return PointCloud(
         xyz=torch.from_numpy(xyz),
         rgb=_colours(vertices, names),
-        operator_id=column("operator", 0, torch.int64),
+        operator_id=operator_id,
         operator_mask=mask,
         operators=operators,
         reprojection_error=column("reprojection_error", float("nan"), torch.float64),
@@ -159,31 +197,48 @@ def read_ply(path: str | os.PathLike) -> PointCloud:
     )
 
 
-def _parse(path: Path) -> PlyData:
+def _parse(path: Path) -> tuple[list[str], np.ndarray]:
+    """Comments of the header, and the vertices as a structured array."""
     try:
-        return PlyData.read(
-            path, mmap="c"
-        )  # binary vertices stay in the file until they are looked at
+        header = read_header(path)
+        return _parse_body(path, header)
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
     except IsADirectoryError:
         raise InputError(f"{path} is a directory; name a PLY file") from None
-    except (
-        PlyParseError,
-        ValueError,
-        MemoryError,
-        OverflowError,
-    ) as error:  # ValueError covers undecodable headers
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # plyfile raises NumPy's errors on damaged bodies
         raise InputError(
             f"{path} cannot be read as PLY ({error}): it is damaged, truncated or of another kind"
         ) from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def _parse_body(path: Path, header: Header) -> tuple[list[str], np.ndarray]:
+    if not any(element.name == "vertex" for element in header.elements):
+        return [], np.zeros(0)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's, for empty lists
+            if header.as_is:  # binary vertices stay in the file until they are looked at
+                ply = PlyData.read(path, mmap="c")
+            else:
+                body = path.read_bytes()[header.size :]
+                ply = PlyData.read(io.BytesIO(header.canonical + body))
+        return ply.comments, ply["vertex"].data
+    except (PlyParseError, ValueError):
+        vertices = read_words(path, header, "vertex")
+        if vertices is None:
+            raise
+        return header.comments, vertices
 
 
 def _columns(vertices: np.ndarray, names: list[str], dtype: type) -> np.ndarray:
     """(N, len(names)) array of some of the vertices' properties."""
-    return np.ascontiguousarray(structured_to_unstructured(vertices[names], dtype=dtype))
+    columns = np.empty((len(vertices), len(names)), dtype)
+    for k, name in enumerate(names):
+        columns[:, k] = vertices[name]
+    return columns
 
 
 def _colours(vertices: np.ndarray, names: dict[str, str]) -> Tensor:
@@ -194,9 +249,11 @@ def _colours(vertices: np.ndarray, names: dict[str, str]) -> Tensor:
         columns = [names[k] for k in triple]
         kind = vertices.dtype[columns[0]]
         if kind.kind == "f":
-            values = np.nan_to_num(_columns(vertices, columns, np.float32), nan=0.5)
-            return torch.from_numpy(np.rint(values.clip(0, 1) * 255).astype(np.uint8))
-        values = _columns(vertices, columns, np.int64 if kind.itemsize > 2 else np.uint16)
+            values = _columns(vertices, columns, np.float32)
+            most = 1 if np.nanmax(values, initial=0) <= 1 else 255
+            values = np.nan_to_num(values / most, nan=0.5).clip(0, 1)
+            return torch.from_numpy(np.rint(values * 255).astype(np.uint8))
+        values = _columns(vertices, columns, np.int64 if kind.itemsize > 2 else np.int32)
         if kind.itemsize > 1 and values.max() > 255:
             values = values >> 8
         return torch.from_numpy(values.clip(0, 255).astype(np.uint8))
@@ -204,7 +261,7 @@ def _colours(vertices: np.ndarray, names: dict[str, str]) -> Tensor:
 
 
 def _operators(comments: list[str]) -> tuple[str, ...]:
-    """The names that the header gives the bits."""
+    """The names of the bits in the header."""
     named = [
         comment.removeprefix(_BIT).split(" = ", 1)
         for comment in comments

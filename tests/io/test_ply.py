@@ -1,7 +1,8 @@
-"""Clouds as PLY: ours there and back, and everybody else's."""
+"""Clouds as PLY: written and read back, and files of other programs."""
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,7 +14,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from sfmkit.errors import InputError, OutputError
-from sfmkit.io.ply import read_ply, write_ply
+from sfmkit.io.ply import needs_double, read_ply, write_ply
 from sfmkit.types import PointCloud
 
 
@@ -144,6 +145,9 @@ def test_encodings(tmp_path, text, order, xyz, faces):
         {"colours": ("r", "g", "b")},
         {"colours": ("Red", "Green", "Blue")},
         {"rgb": "f4", "scale": 1 / 255},
+        {"rgb": "f8", "scale": 1 / 255},
+        {"rgb": "f4"},
+        {"rgb": "u1", "text": True},
         {"rgb": "u2", "scale": 256},
         {"rgb": "i4"},
     ],
@@ -172,7 +176,134 @@ def test_vertices_without_a_position_are_dropped_and_counted(tmp_path):
         read_ply(foreign(tmp_path / "d.ply", holes=list(range(20))))
 
 
-HEAD = "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty float {z}\nend_header\n"
+HEAD = """ply
+format ascii 1.0
+element vertex {n}
+property float x
+property float y
+property float {z}
+end_header
+"""
+BODY = "0 1 2\n3 4 5\n"
+TWO = HEAD.format(n=2, z="z")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        TWO + BODY,
+        (TWO + BODY).replace("\n", "\r\n"),
+        "\ufeff" + TWO + BODY,
+        TWO.replace("\n", " \n") + BODY,
+        TWO.replace("element", "\nelement") + BODY,
+        TWO.replace("property float", "property\tfloat32") + BODY,
+        TWO.replace("element", "comment Größe in m\nobj_info num_cols 3\nelement") + BODY,
+        TWO + "\n" + BODY,
+        TWO + BODY.replace(" ", "\n"),
+        TWO + BODY.replace("\n", " "),
+        TWO.replace("float x", "int x") + "0e0 1 2\n3.0 4 5\n",
+        TWO.replace("end_header", "property uchar red\nend_header") + "0 1 2 9.0\n3 4 5 8.0\n",
+        TWO.replace("end_header", "property list uchar uint ids\nend_header")
+        + "0 1 2 2 7 7\n3 4 5 0\n",
+        TWO.replace("property float x", "property list uchar uint ids\nproperty float x")
+        + "2 7 7\n0 1 2\n0 3 4\n5\n",
+        TWO.replace("element", "element camera 1\nproperty float f\nelement") + "9\n" + BODY,
+        TWO.replace("element", "element face 1\nproperty list uchar int v\nelement", 1)
+        + "3 0 1 0\n"
+        + BODY,
+        TWO.replace("end_header", "element face 1\nproperty list uchar int v\nend_header")
+        + BODY
+        + "3 0 1 0\n",
+    ],
+    ids=[
+        *("plain", "carriage returns", "byte order mark", "spaces at the end", "blank line"),
+        *("tabs and other type names", "not ASCII", "blank line in the body", "a word per line"),
+        *("one line", "floats for integers", "float for a byte", "list", "list before x"),
+        *("another element first", "faces first", "faces last"),
+    ],
+)
+def test_text_that_other_programs_open(tmp_path, text):
+    (tmp_path / "c.ply").write_text(text, encoding="utf-8", newline="")
+    assert read_ply(tmp_path / "c.ply").xyz.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+@pytest.mark.parametrize("word", ["nan", "-nan(ind)", "1.#QNAN", "1.#INF", "inf", "-1.#IND00"])
+def test_positions_that_are_not_finite_as_c_writes_them(tmp_path, word):
+    (tmp_path / "c.ply").write_text(TWO + f"{word} 1 2\n3 4 5\n")
+    with pytest.warns(UserWarning, match="1 of 2 vertices"):
+        assert read_ply(tmp_path / "c.ply").xyz.tolist() == [[3, 4, 5]]
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("mark", ["", "comment Größe\n"])
+def test_binary_lists(tmp_path, order, first, mark):
+    """Lists of unequal length at the vertices, and faces before or after them."""
+    vertices, faces = b"", struct.pack(f"{order}B3i", 3, 0, 1, 2) * 3
+    for k, (x, y, z) in enumerate(XYZ):
+        views = range(k % 4)
+        vertices += struct.pack(f"{order}ddB{len(views)}Id", x, y, len(views), *views, z)
+    elements = [
+        "element vertex 20\nproperty double x\nproperty double y\n"
+        "property list uchar uint views\nproperty double z\n",
+        "element face 3\nproperty list uchar int vertex_indices\n",
+    ]
+    turn = -1 if first else 1
+    name = {"<": "little", ">": "big"}[order]
+    head = f"ply\nformat binary_{name}_endian 1.0\n{mark}{''.join(elements[::turn])}end_header\n"
+    (tmp_path / "c.ply").write_bytes(head.encode() + b"".join([vertices, faces][::turn]))
+    assert np.array_equal(read_ply(tmp_path / "c.ply").xyz.numpy(), XYZ)
+
+
+def test_other_programs_columns_with_names_of_ours_are_ignored(tmp_path):
+    text = TWO.replace("end_header", "property float operator\nproperty float match\nend_header")
+    (tmp_path / "c.ply").write_text(text + "0 1 2 nan 7\n3 4 5 99 nan\n")
+    cloud = read_ply(tmp_path / "c.ply")
+    assert cloud.match.tolist() == [-1, -1]
+    assert cloud.operator_id.tolist() == [0, 0]
+
+
+def test_an_operator_that_the_header_does_not_name(tmp_path):
+    write_ply(tmp_path / "c.ply", make_cloud())
+    data = (tmp_path / "c.ply").read_bytes().replace(b"comment operator bit 2 = fast-brief\n", b"")
+    (tmp_path / "c.ply").write_bytes(data)
+    with pytest.raises(InputError, match="an operator that the header does not name"):
+        read_ply(tmp_path / "c.ply")
+
+
+# --- precision
+
+
+def utm(n: int = 500) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.array([403000.0, 5604900.0, 120.0]) + rng.random((n, 3)) * [20, 20, 2]
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_a_cloud_in_utm_stays_double(tmp_path, text):
+    xyz = utm()
+    data = np.zeros(len(xyz), dtype=[(k, "f8") for k in "xyz"])
+    for k, values in zip("xyz", xyz.T):
+        data[k] = values
+    PlyData([PlyElement.describe(data, "vertex")], text=text).write(tmp_path / "a.ply")
+    write_ply(tmp_path / "b.ply", read_ply(tmp_path / "a.ply"))
+    for name in ("a.ply", "b.ply"):
+        assert np.abs(read_ply(tmp_path / name).xyz.numpy() - xyz).max() < 1e-9
+    assert PlyData.read(tmp_path / "b.ply")["vertex"]["x"].dtype == np.float64
+
+
+def test_double_where_the_numbers_need_it(tmp_path):
+    ours = make_cloud()
+    moved = replace(ours, xyz=torch.from_numpy(utm(50)))
+    foreign = replace(ours, operators=())
+    single = replace(foreign, xyz=foreign.xyz.float().double())
+    none = make_cloud(n=0)
+    assert [needs_double(c) for c in (ours, moved, foreign, single)] == [False, True, True, False]
+    assert not needs_double(none)
+    write_ply(tmp_path / "c.ply", moved)
+    assert torch.equal(read_ply(tmp_path / "c.ply").xyz, moved.xyz)
+    write_ply(tmp_path / "d.ply", ours)
+    assert PlyData.read(tmp_path / "d.ply")["vertex"]["x"].dtype == np.float32
 
 
 @pytest.mark.parametrize(
@@ -183,7 +314,15 @@ HEAD = "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty fl
         (bytes(range(256)), "cannot be read as PLY"),
         (HEAD.format(n=0, z="z").encode(), "holds no vertices"),
         (HEAD.format(n=2, z="z").encode() + b"1 2 3\n", "cannot be read as PLY .*end-of-file"),
-        (HEAD.format(n=1, z="z").encode() + b"1 2\n", "cannot be read as PLY .*end-of-line"),
+        (HEAD.format(n=1, z="z").encode() + b"1 2\n", "cannot be read as PLY .*end-of-file"),
+        (
+            HEAD.format(n=1, z="z").encode() + b"1      2\n",
+            "cannot be read as PLY .*element 'vertex': row 0: property 'z': early end-of-line",
+        ),
+        (HEAD.replace("float x", "float128 x").format(n=1, z="z").encode(), "header line 4"),
+        (HEAD.replace("element", "elephant").format(n=1, z="z").encode(), "header line 3"),
+        (HEAD.replace("format ascii 1.0", "").format(n=1, z="z").encode(), "no format"),
+        (TWO.encode() + b"0,5 1 2\n3 4 5\n", "element 'vertex': row 0: property 'x'"),
         (HEAD.format(n=1, z="z").encode() + b"1 2 three\n", "cannot be read as PLY .*malformed"),
         (
             HEAD.format(n=1, z="w").encode() + b"1 2 3\n",

@@ -43,12 +43,12 @@ def _read_images(path: Path, observations: bool) -> dict[int, ColmapImage]:
         number, line = next(lines, (number + 1, ""))
         if observations:
             with file.at(number):
-                images[key] = replace(images[key], **_observations(line, file))
+                xy, ids = _observations(line, file)
+            images[key] = replace(images[key], xy=xy, point_id=ids)
     return images
 
 
-def _observations(line: str, file: TextFile) -> dict[str, np.ndarray]:
-    """The fields xy and point_id of the image whose observations are on the line."""
+def _observations(line: str, file: TextFile) -> tuple[np.ndarray, np.ndarray]:
     words = line.split()
     if len(words) % 3:
         raise InputError("observations are triples X Y POINT3D_ID; one line per image is needed")
@@ -56,7 +56,7 @@ def _observations(line: str, file: TextFile) -> dict[str, np.ndarray]:
     if not np.isfinite(xy).all():
         raise InputError("an observation is not finite")
     ids = np.array([file.whole(word) for word in words[2::3]], dtype=np.int64)
-    return {"xy": from_colmap(xy.reshape(-1, 2)), "point_id": ids}
+    return from_colmap(xy.reshape(-1, 2)), ids
 
 
 def _read_points(path: Path) -> dict[int, ColmapPoint]:
