@@ -235,7 +235,7 @@ def _parse_body(path: Path, header: Header) -> tuple[list[str], np.ndarray]:
 
 def _columns(vertices: np.ndarray, names: list[str], dtype: type) -> np.ndarray:
     """(N, len(names)) array of some of the vertices' properties."""
-    columns = np.empty((len(vertices), len(names)), dtype)
+    columns: np.ndarray = np.empty((len(vertices), len(names)), dtype)
     for k, name in enumerate(names):
         columns[:, k] = vertices[name]
     return columns
