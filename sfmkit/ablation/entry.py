@@ -1,10 +1,10 @@
-"""What a stage made, as bytes: arrays and a few words about them in one npz, without pickle."""
+"""Results of stages as bytes: arrays and JSON in one npz file, without pickle."""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,9 +13,11 @@ import numpy as np
 
 from ..errors import SfmError
 
+_DIGEST_SIZE = hashlib.sha256().digest_size
+
 
 class DamagedEntry(SfmError):
-    """Bytes that are not, or no longer, what was stored."""
+    """Bytes that differ from what was stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +25,9 @@ class Entry:
     """The result of one task.
 
     Attributes:
-        key: what it is the result of, see :mod:`sfmkit.ablation.tasks`.
-        arrays: name -> array; no objects.
-        meta: JSON: what does not need an array, ``seconds`` among it.
+        key: The key of the task, see :mod:`sfmkit.ablation.tasks`.
+        arrays: name -> array, not of objects.
+        meta: JSON values, among them ``seconds``.
     """
 
     key: str
@@ -37,32 +39,34 @@ class Entry:
         return sum(a.nbytes for a in self.arrays.values())
 
     def to_bytes(self) -> bytes:
-        """An npz, uncompressed: descriptors hardly shrink, and every member has its checksum."""
-        words = np.frombuffer(json.dumps({"key": self.key, **self.meta}).encode(), np.uint8)
+        """The entry as an uncompressed npz file that ends with its sha256.
+
+        The digest is the comment of the zip archive and covers every byte before it.
+        """
+        meta = np.frombuffer(json.dumps({"key": self.key, **self.meta}).encode(), np.uint8)
         file = io.BytesIO()
-        np.savez(file, meta=words, **self.arrays)  # type: ignore[arg-type]
-        return file.getvalue()
+        np.savez(file, meta=meta, **self.arrays)  # type: ignore[arg-type]
+        # a zip archive ends with the length of its comment (2 bytes) and the comment
+        content = file.getvalue()[:-2] + _DIGEST_SIZE.to_bytes(2, "little")
+        return content + hashlib.sha256(content).digest()
 
     @classmethod
     def from_bytes(cls, data: bytes, key: str) -> Entry:
-        """The entry, all of it read and its checksums compared.
+        """Read an entry whose digest is right.
 
         Raises:
-            DamagedEntry: the bytes are cut off or changed, or belong to another key.
+            DamagedEntry: The bytes are cut off or changed, or belong to another key.
         """
+        content, stored = data[:-_DIGEST_SIZE], data[-_DIGEST_SIZE:]
+        if hashlib.sha256(content).digest() != stored:
+            raise DamagedEntry("damaged: its digest differs")
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             meta = json.loads(arrays.pop("meta").tobytes())
-        except (
-            zipfile.BadZipFile,
-            ValueError,
-            KeyError,
-            OSError,
-            EOFError,
-            NotImplementedError,
-        ) as error:
+            found = meta.pop("key", None)
+        except Exception as error:  # bytes with a right digest that are no entry: any of numpy's
             raise DamagedEntry(f"damaged: {error}") from error
-        if meta.pop("key", None) != key:
-            raise DamagedEntry("it belongs to another key")
+        if found != key:
+            raise DamagedEntry("stored under another key")
         return cls(key, meta, arrays)

@@ -6,6 +6,7 @@ are its interface.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,6 +30,7 @@ from .tasks import EstimateTask, Job
 from .variants import JOIN
 
 TABLE = "ablation.parquet"
+_DIGEST = b"sfmkit.sha256"
 
 _text, _count, _number = pa.string(), pa.int64(), pa.float64()
 SCHEMA = pa.schema(
@@ -233,33 +235,81 @@ def table_of(rows: Sequence[Row]) -> pa.Table:
 
 
 def write_table(data: pa.Table, path: Path) -> None:
-    """Raises OutputError where it cannot be written."""
+    """Write a table as Parquet, with a digest of its values and a checksum of every page.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    sealed = data.replace_schema_metadata({_DIGEST: content_digest(data)})
     with atomic_write(path) as temporary:
-        pq.write_table(data, temporary, compression="zstd")
+        pq.write_table(sealed, temporary, compression="zstd", write_page_checksum=True)
 
 
 def read_table(path: str | os.PathLike) -> AblationTable:
-    """The table of a sweep: its Parquet file, or the folder that holds it.
+    """Read the table of a sweep: its Parquet file, or the folder that holds it.
 
     Raises:
-        InputError: there is none, or the file is none.
+        InputError: There is none, or it is damaged; see :func:`read_shard`.
     """
     file = Path(path)
     file = file / TABLE if file.is_dir() else file
     if not file.is_file():
         raise InputError(
-            f"there is no {file}; `sfmkit ablate ... --out {Path(path)}` makes it, or ends it if it was interrupted"
+            f"there is no {file}; `sfmkit ablate ... --out {Path(path)}` writes it, and completes "
+            "an interrupted sweep"
         )
     return AblationTable(read_shard(file), file)
 
 
 def read_shard(file: Path) -> pa.Table:
+    """Read a Parquet file that :func:`write_table` wrote.
+
+    Raises:
+        InputError: The file cannot be read, has other columns or types, or its values differ from
+            those that were written.
+    """
     try:
-        data = pq.read_table(file)
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{file} cannot be read as Parquet: {error}") from None
-    if data.schema.names != SCHEMA.names:
+        data = pq.read_table(
+            pa.BufferReader(file.read_bytes()), page_checksum_verification=True, use_threads=False
+        )
+        metadata = data.schema.metadata or {}
+        data = data.replace_schema_metadata(None)
+        known = data.schema.equals(SCHEMA)
+        intact = known and metadata.get(_DIGEST, b"").decode() == content_digest(data)
+    except Exception as error:  # damaged bytes: whatever Arrow's readers and decoders raise
+        raise InputError(f"{file} cannot be read as Parquet, or is damaged: {error}") from None
+    if not known:
         raise InputError(
-            f"{file} has other columns than an ablation's table; was it made by another version?"
+            f"{file} has other columns than the table of an ablation; it may be of another version"
+        )
+    if not intact:
+        raise InputError(
+            f"{file} is damaged: its values differ from those that were written. Remove it and run "
+            "the sweep again; what is cached is used again"
         )
     return data
+
+
+def content_digest(data: pa.Table) -> str:
+    """Sha256 of the names and values of a table, independent of their layout in memory."""
+    digest = hashlib.sha256()
+    for name, column in zip(data.column_names, data.columns, strict=True):
+        array = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+        digest.update(f"{name} {len(array)}\n".encode())
+        for values in _flat(array):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
+def _flat(array: pa.Array) -> Iterator[np.ndarray]:
+    """The values of a column as arrays of numbers: validity, lengths, and values without nulls."""
+    yield array.is_valid().to_numpy(zero_copy_only=False)
+    present = array.drop_null()
+    if pa.types.is_list(array.type):
+        yield pc.list_value_length(present).to_numpy(zero_copy_only=False)
+        yield from _flat(present.flatten())
+    elif pa.types.is_string(array.type):
+        yield pc.binary_length(present).to_numpy(zero_copy_only=False)
+        yield np.frombuffer("".join(present.to_pylist()).encode(), np.uint8)
+    else:
+        yield present.to_numpy(zero_copy_only=False)

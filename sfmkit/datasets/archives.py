@@ -1,12 +1,11 @@
-"""Unpacking archives from the network: nothing outside the folder, no links, no more than was
-announced."""
+"""Unpack downloaded archives: nothing outside the folder, no links, no more than expected."""
 
 from __future__ import annotations
 
+import errno
 import stat
 import tarfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO
@@ -20,15 +19,17 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
     """Unpack a tar (plain, gz, bz2, xz) or zip archive into an existing folder.
 
     Args:
-        max_files, max_bytes: at most this many files, and bytes in all of them.
+        archive: The file.
+        folder: An empty folder, to be removed by the caller after an error.
+        max_files, max_bytes: Largest number of files, and of bytes in all of them.
 
     Returns:
-        `folder`, or the one folder in it where the archive wraps everything in one.
+        `folder`, or the only folder in it where the archive holds just one.
 
     Raises:
-        InputError: no archive, a damaged one, one with links, devices or names that lead out of the
-            folder, or with more than the limits allow. What was written before the error stays:
-            unpack into a folder that is thrown away then.
+        InputError: The file is not an archive or is damaged; it holds links, devices or names that
+            lead out of the folder, or more than the limits allow.
+        OSError: The disk is full or `folder` cannot be written.
     """
     count = total = 0
     try:
@@ -47,29 +48,23 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
                     total += len(chunk)
                     if total > max_bytes:
                         raise InputError(
-                            f"{archive.name} unpacks to more than the {max_bytes:,} bytes expected; it is not unpacked"
+                            f"{archive.name} unpacks to more than the {max_bytes:,} bytes "
+                            "expected; it is not unpacked"
                         )
                     out.write(chunk)
-    except (
-        tarfile.TarError,
-        zipfile.BadZipFile,
-        EOFError,
-        zlib.error,
-        UnicodeDecodeError,
-    ) as error:
-        raise InputError(
-            f"{archive.name} is damaged or no archive ({error}); fetch it again"
-        ) from error
+    except InputError:
+        raise
     except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         raise InputError(
-            f"{archive.name} names one file twice: {error.filename}; it is not unpacked"
+            f"{archive.name} names a file twice: {error.filename}; it is not unpacked"
         ) from error
-    except OSError as error:
-        if error.errno is not None:
+    except Exception as error:  # zlib, LZMA, bz2, tar and zip raise errors of many classes
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EACCES):
             raise
+        reason = " ".join(str(error).split())  # tarfile lists one reason per line
         raise InputError(
-            f"{archive.name} is damaged ({error}); fetch it again"
-        ) from error  # gzip's bad checksum
+            f"{archive.name} is damaged or not an archive ({reason}); fetch it again"
+        ) from error
     if not count:
         raise InputError(f"{archive.name} holds no files")
     inside = list(folder.iterdir())
@@ -77,14 +72,15 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
 
 
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
-    """Name and contents of every file."""
+    """Yield the name and the contents of every file."""
     if zipfile.is_zipfile(archive):
         with zipfile.ZipFile(archive) as z:
             for info in z.infolist():
                 kind = stat.S_IFMT(info.external_attr >> 16)
                 if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
                     raise InputError(
-                        f"{archive.name} holds a link or device, '{info.filename}'; it is not unpacked"
+                        f"{archive.name} holds a link or device, '{info.filename}'; "
+                        "it is not unpacked"
                     )
                 _check_name(archive, info.filename)
                 if not info.is_dir():
@@ -118,7 +114,7 @@ def _check_name(archive: Path, name: str) -> None:
 
 
 def _target(folder: Path, name: str) -> Path | None:
-    """Where the file goes; None for what desktops leave in archives."""
+    """The path of the unpacked file; None for metadata that desktops add to archives."""
     parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part != "."]
     if (
         not parts

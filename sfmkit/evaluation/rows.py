@@ -1,9 +1,10 @@
-"""Rows of measurements that outlive an interruption."""
+"""Rows of measurements on disk, kept when a run is interrupted."""
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,45 +14,66 @@ Row = dict[str, Any]
 
 
 def finite(value: float | None) -> float | None:
-    """The number, or None for what JSON cannot hold."""
+    """The number, or None where it is not finite, which JSON cannot hold."""
     return value if value is not None and math.isfinite(value) else None
 
 
+@dataclass(frozen=True)
 class RowStore:
-    """Rows on disk, one JSON object a line; the first line holds the settings that they were made
-    with."""
+    """Rows on disk, one JSON object per line; the first line holds the settings of the run.
 
-    def __init__(self, path: Path, settings: dict[str, Any]):
-        self.path, self.settings = path, settings
+    Attributes:
+        path: The file.
+        settings: What the rows depend on, JSON values.
+    """
+
+    path: Path
+    settings: dict[str, Any]
 
     def read(self) -> list[Row]:
-        """The rows so far; an incomplete last line, from an interrupted run, is cut off.
+        """Return the rows so far; start the file where there is none.
+
+        An incomplete last line, from an interrupted run, is removed.
 
         Raises:
-            InputError: the file was made with other settings, or is no such file.
+            InputError: The file was made with other settings or is damaged.
         """
         if not self.path.exists():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.write_text(json.dumps({"settings": self.settings}) + "\n")
+            self.path.write_text(json.dumps({"settings": self.settings}) + "\n", encoding="utf-8")
             return []
-        text = self.path.read_text()
-        if not text.endswith("\n"):
-            text = text[: text.rfind("\n") + 1]
-            self.path.write_text(text)
-        try:
-            first, *rows = [json.loads(line) for line in text.splitlines()] or [{}]
-        except json.JSONDecodeError as error:
+        settings, rows = read_rows(self.path)
+        if settings != self.settings:
             raise InputError(
-                f"{self.path} is damaged ({error}); remove it to begin again"
-            ) from None
-        if first.get("settings") != self.settings:
-            raise InputError(
-                f"{self.path} was made with {first.get('settings')}, not {self.settings}; choose another --out, or "
-                "remove it to begin again"
+                f"{self.path} was made with {settings}, not {self.settings}; choose another --out, "
+                "or remove the file to start again"
             )
+        data = self.path.read_bytes()
+        if not data.endswith(b"\n"):
+            self.path.write_bytes(data[: data.rfind(b"\n") + 1])
         return rows
 
     def append(self, rows: list[Row]) -> None:
-        """All rows of a part in one write: a part is there whole or, after a crash, not counted."""
-        with self.path.open("a") as file:
+        """Append all rows of a part in one write, so that a crash leaves complete parts only."""
+        with self.path.open("a", encoding="utf-8") as file:
             file.write("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def read_rows(path: Path) -> tuple[dict[str, Any], list[Row]]:
+    """Read the settings and the complete rows of a file that :class:`RowStore` wrote.
+
+    Raises:
+        InputError: The file cannot be read, or a line is not a JSON object.
+    """
+    try:
+        data = path.read_bytes()
+        lines = data[: data.rfind(b"\n") + 1].decode("utf-8").splitlines()
+        values = [json.loads(line) for line in lines]
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is damaged ({error}); remove it to start again") from None
+    for number, value in enumerate(values, start=1):
+        if not isinstance(value, dict):
+            raise InputError(f"{path}, line {number} is not a row; remove the file to start again")
+    if not values or not isinstance(values[0].get("settings"), dict):
+        raise InputError(f"{path} does not start with its settings; remove it to start again")
+    return values[0]["settings"], values[1:]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import random
 import re
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,7 +19,9 @@ from sfmkit.ablation.table import (
     SCHEMA,
     VOLATILE,
     AblationTable,
+    content_digest,
     make_row,
+    read_shard,
     read_table,
     table_of,
     write_table,
@@ -145,6 +150,56 @@ def test_tables_that_are_not_there_or_are_none(tmp_path):
         read_table(tmp_path)
     with pytest.raises(InputError, match="no column 'errors'"):
         AblationTable(table_of([]))["errors"]
+
+
+def made_up_table(n: int = 60) -> pa.Table:
+    rng = random.Random(1)
+    rows = []
+    for k in range(n):
+        row = dict.fromkeys(SCHEMA.names) | {"pair": str(k), "seed": k, "error": rng.random()}
+        H = None if k % 3 == 0 else [rng.random() for _ in range(9)]
+        rows.append(row | {"has_truth": k % 2 == 0, "operators": ["orb"] * (k % 3), "H": H})
+    return table_of(rows)
+
+
+def test_no_flip_of_a_single_bit_changes_a_value(tmp_path):
+    file, table = tmp_path / "t.parquet", made_up_table()
+    write_table(table, file)
+    good, rng = file.read_bytes(), random.Random(0)
+    for _ in range(400):
+        data = bytearray(good)
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        file.write_bytes(data)
+        try:
+            assert read_shard(file) == table
+        except InputError:
+            continue
+
+
+def test_a_changed_value_does_not_agree_with_the_digest(tmp_path):
+    table = made_up_table()
+    column = table.column_names.index("error")
+    changed = table.set_column(column, SCHEMA.field("error"), pc.add(table["error"], 1e-9))
+    stored = {b"sfmkit.sha256": content_digest(table)}
+    pq.write_table(changed.replace_schema_metadata(stored), tmp_path / "ablation.parquet")
+    with pytest.raises(InputError, match="values differ"):
+        read_table(tmp_path)
+
+
+def test_the_digest_does_not_depend_on_the_layout_in_memory():
+    table = made_up_table()
+    parts = pa.concat_tables([table.slice(0, 7), table.slice(7, 20), table.slice(27)])
+    assert parts["H"].num_chunks == 3
+    assert content_digest(parts) == content_digest(table)
+    assert content_digest(table.slice(1)) != content_digest(table)
+
+
+def test_columns_of_other_types_are_refused(tmp_path):
+    table = made_up_table()
+    other = table.set_column(0, "dataset", pa.array(range(len(table))))
+    pq.write_table(other, tmp_path / "ablation.parquet")
+    with pytest.raises(InputError, match="other columns"):
+        read_table(tmp_path)
 
 
 def test_every_column_is_documented_and_nothing_else_is():

@@ -3,8 +3,10 @@ unpacked."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
+import random
 import tarfile
 import threading
 import zipfile
@@ -211,8 +213,8 @@ def link(name: str, target: str, kind: bytes) -> tarfile.TarInfo:
         (tar_of({"big": bytes(100_001)}), "more than the 100,000 bytes"),
         (tar_of({"a": b"x", "a/b": b"y"}), "twice"),
         (tar_of({"a": b"1234" * 5000})[:-40], "damaged"),
-        (b"no archive at all", "no archive"),
-        (b"", "no archive"),
+        (b"no archive at all", "not an archive"),
+        (b"", "not an archive"),
         (tar_of({}), "no files"),
     ],
 )
@@ -243,6 +245,29 @@ def test_zip_archives(tmp_path):
         z.writestr("..\\evil", "x")
     with pytest.raises(InputError, match="leads out"):
         unpack(file, tmp_path / "out", **LIMITS)
+
+
+@pytest.mark.parametrize("mode", ["w", "w:gz", "w:bz2", "w:xz", "zip"])
+def test_damaged_archives_are_unpacked_or_refused(tmp_path, mode):
+    good, rng = tmp_path / "good", random.Random(mode)
+    content = bytes(rng.randrange(256) for _ in range(600)) * 2
+    if mode == "zip":
+        with zipfile.ZipFile(good, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("a/x.bin", content)
+    else:
+        with tarfile.open(good, mode) as tar:
+            info = tarfile.TarInfo("a/x.bin")
+            info.size = len(content)
+            tar.addfile(info, io.BytesIO(content))
+    for k in range(60):
+        data = bytearray(good.read_bytes())
+        for _ in range(rng.randint(1, 4)):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        file, folder = tmp_path / "bad", tmp_path / f"out{k}"
+        file.write_bytes(data[: rng.randint(len(data) // 2, len(data))])
+        folder.mkdir()
+        with contextlib.suppress(InputError):
+            unpack(file, folder, **LIMITS)
 
 
 def test_a_refused_archive_leaves_nothing(spec, server, tmp_path):

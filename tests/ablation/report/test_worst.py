@@ -3,7 +3,6 @@ where the arrays say."""
 
 from __future__ import annotations
 
-import json
 import shutil
 
 import numpy as np
@@ -11,7 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from sfmkit.ablation import ablate, read_table
+from sfmkit.ablation import ablate, read_sweep, read_table
+from sfmkit.ablation.folder import write_sweep
 from sfmkit.ablation.report.findings import analyse
 from sfmkit.ablation.report.scores import score
 from sfmkit.ablation.report.worst import Case, choose_worst, describe, run_again
@@ -115,11 +115,11 @@ def test_the_command_writes_it_and_says_which_image_is_missing(sweep, tmp_path):
     assert done.exit_code == 0, done.output
     assert 1e4 < (copy / "worst.rrd").stat().st_size < 3e6
     (copy / "worst.rrd").unlink()
-    told = json.loads((copy / "sweep.json").read_text())
+    told = read_sweep(copy)
     for pair in told["pairs"]:
         for image in pair["images"]:
             image["path"] = str(tmp_path / "gone.png")
-    (copy / "sweep.json").write_text(json.dumps(told))
+    write_sweep(copy, told)
     done = CliRunner().invoke(main, ["ablate", "report", str(copy), "--worst", "1"])
     assert done.exit_code == 2
     assert "gone.png" in done.output
