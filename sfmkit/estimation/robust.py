@@ -80,7 +80,7 @@ def estimate(
 
     Returns:
         RobustModel with E of Frobenius norm √2, F or H, refined. There is no model when there are
-        fewer than 6 (E), 8 (F) or 5 (H) matches, or none was found, or its inliers without
+        fewer than 6 (E), 7 (F) or 4 (H) matches, or none was found, or its inliers without
         duplicates are fewer than that, or lie on one line.
 
     Raises:
@@ -123,12 +123,12 @@ def estimate(
     )
 
 
-# problem and least number of matches; one more than a minimal sample has, and the eight of the
-# linear fit of F
+# Problem and least number of matches. Four matches determine H; seven determine F up to three
+# solutions, of which the first is returned; five leave up to ten E, so E needs a sixth match.
 _PROBLEMS: dict[str, tuple[Callable[..., SearchProblem], int]] = {
     "essential": (EssentialProblem, 6),
-    "fundamental": (lambda a, b, K1, K2, t, w: FundamentalProblem(a, b, t, w), 8),
-    "homography": (lambda a, b, K1, K2, t, w: HomographyProblem(a, b, t, w), 5),
+    "fundamental": (lambda a, b, K1, K2, t, w: FundamentalProblem(a, b, t, w), 7),
+    "homography": (lambda a, b, K1, K2, t, w: HomographyProblem(a, b, t, w), 4),
 }
 
 

@@ -84,8 +84,8 @@ def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     for _ in range(2):
         F = F - _seven_point_step(F, rows, valid)
     F = T2.mT[..., None, :, :] @ F @ T1[..., None, :, :]
-    size = F.flatten(-2).norm(dim=-1)[..., None, None]
-    F = torch.where(valid[..., None, None], F / torch.where(size > 0, size, 1.0), 0.0)
+    found = valid[..., None, None]
+    F = torch.where(found, kernels.unit_norm(torch.where(found, F, 1.0)), 0.0)
     return F.to(dtype), valid
 
 

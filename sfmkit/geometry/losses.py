@@ -1,5 +1,9 @@
 """Robust losses of squared residuals, and MAGSAC++'s marginal loss, which needs no noise level.
 
+kornia 0.9.0 has none of these: its losses are means over images, without curvature or scale. The
+functions run in the inner loops of the refinements and do not check their input: a NaN residual
+gives a NaN value.
+
 The marginal loss. A match's residual r is taken to be the length of a four-vector of Gaussian noise
 (two image points) of standard deviation σ, cut off at ``k σ`` with k the 99 % quantile of the chi
 distribution with four degrees of freedom. σ is not known: it is uniform up to
@@ -35,7 +39,10 @@ _MAX_LOSS = 1.5 * (_GAMMA - _CUT) - _U**1.5 * math.exp(-_U)
 
 
 class LossTerms(NamedTuple):
-    """A loss and its first two derivatives by the squared residual; the first is 1 at zero."""
+    """A loss and its first two derivatives with respect to the squared residual.
+
+    The slope is 1 at zero.
+    """
 
     value: Tensor
     slope: Tensor
@@ -43,13 +50,18 @@ class LossTerms(NamedTuple):
 
 
 def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
-    """Loss of squared residuals of any shape.
+    """Evaluate a loss at squared residuals of any shape.
 
     Args:
-        scale: in units of the residual: where ``huber`` turns linear, ``cauchy`` levels off, or,
-            for ``marginal``, the threshold beyond which a residual no longer counts. ``squared``
-            ignores it.
+        scale: positive, in units of the residual: where ``huber`` becomes linear, where ``cauchy``
+            levels off, or, for ``marginal``, the threshold beyond which a residual has no weight.
+            ``squared`` ignores it.
+
+    Raises:
+        InputError: unknown loss, or a scale that is not positive.
     """
+    if loss != "squared" and not scale > 0:
+        raise InputError(f"scale must be positive, not {scale}")
     k2 = scale**2
     if loss == "squared":
         return LossTerms(square, torch.ones_like(square), torch.zeros_like(square))
@@ -70,19 +82,23 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
 
 
 def marginal_weight(square: Tensor, threshold: float) -> Tensor:
-    """Weight in [0, 1] of a squared residual in a least-squares fit; 1 at 0, 0 from the threshold
-    on."""
+    """Return the weight of squared residuals in a least-squares fit.
+
+    1 at zero, 0 from the threshold on.
+    """
     return loss_terms("marginal", square, threshold).slope
 
 
 def marginal_score(square: Tensor, threshold: float) -> Tensor:
-    """Score in [0, 1] of a squared residual: 1 at 0, 0 from the threshold on; one minus the
-    marginal loss."""
+    """Return the score of squared residuals, one minus the marginal loss.
+
+    1 at zero, 0 from the threshold on.
+    """
     return 1 - _marginal_loss(*_incomplete_gamma(square * (_U / threshold**2))) / _MAX_LOSS
 
 
 def _incomplete_gamma(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """u cut off at k²/2, the lower incomplete gamma function γ(3/2, u), and ``sqrt(u) exp(-u)``."""
+    """Return u cut off at k²/2, the lower incomplete gamma γ(3/2, u), and ``sqrt(u) exp(-u)``."""
     u = u.clamp(1e-30, _U)  # not 0: the root has no slope there
     small = u < 1e-3  # where the difference below cancels
     v = torch.where(small, u, 0.0)

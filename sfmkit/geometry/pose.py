@@ -1,7 +1,6 @@
-"""Relative poses: which of the four candidates is real, and how far a pose is from the truth.
+"""Relative poses ``X2 = R X1 + t``: choice among candidates, and errors against the truth.
 
-``X2 = R X1 + t``. Angles come from arc tangents throughout: an arc cosine has no digits left near 0
-and 180 degrees.
+Angles are computed by arc tangents: an arc cosine has no digits left near 0 and 180 degrees.
 """
 
 from __future__ import annotations
@@ -9,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from kornia.geometry.epipolar import relative_camera_motion
+from kornia.geometry.liegroup import Se3, So3
+from kornia.geometry.quaternion import Quaternion
 from torch import Tensor
 
 from ..errors import InputError
@@ -17,11 +19,11 @@ from .checks import _traced, check_matrices, check_points
 
 
 def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
-    """Which matches lie in front of both cameras, ``(*B, N)`` bool.
+    """Return which matches lie in front of both cameras, ``(*B, N)`` bool.
 
-    Only the signs of the two depths at the midpoint of the shortest segment between the rays;
-    nothing is triangulated and nothing divided. Parallel rays (a point at infinity) count as not in
-    front: they decide nothing.
+    Computed from the signs of the two depths at the midpoint of the shortest segment between the
+    rays, without triangulation or division. Parallel rays (a point at infinity) count as not in
+    front: they decide nothing. kornia 0.9.0 has no counterpart.
 
     Args:
         xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
@@ -46,7 +48,11 @@ def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
 def choose_pose(
     R4: Tensor, t4: Tensor, xn1: Tensor, xn2: Tensor, weights: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Of each batch item's candidate poses, the one with most matches in front of both cameras.
+    """Choose, per batch item, the candidate pose with most matches in front of both cameras.
+
+    kornia's ``motion_from_essential_choose_solution`` (0.9.0) takes E, not candidates. It
+    triangulates all matches once per candidate, which takes more than ten times as long as
+    :func:`decompose_essential` and this function (``benchmarks/geometry.py``).
 
     Args:
         R4, t4: ``(*B, C, 3, 3)``, ``(*B, C, 3)`` candidates (C = 4 from an essential matrix).
@@ -55,10 +61,8 @@ def choose_pose(
             and 1).
 
     Returns:
-        R ``(*B, 3, 3)``, t ``(*B, 3)`` and the counts ``(*B, C)`` of all candidates. The choice is
-        as good as the
-        counts are apart: a runner-up with as many votes means that the matches do not decide (pure
-            rotation).
+        R ``(*B, 3, 3)``, t ``(*B, 3)`` and the counts ``(*B, C)`` of all candidates. When two
+        counts are about equal the matches do not decide (pure rotation).
 
     Raises:
         InputError: as :func:`cheirality`.
@@ -78,15 +82,55 @@ def choose_pose(
 
 
 def relative_pose(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """The pose ``(*B, 3, 3)``, ``(*B, 3)`` of camera 2 from camera 1, both given from the world,
-    ``Xi = Ri X + ti``."""
-    R = R2 @ R1.mT
-    return R, t2 - (R @ t1[..., None])[..., 0]
+    """Return the pose R ``(*B, 3, 3)``, t ``(*B, 3)`` of camera 2 from camera 1.
+
+    Both are given from the world, ``Xi = Ri X + ti``. Computed by kornia's
+    ``relative_camera_motion``.
+
+    Raises:
+        InputError: shapes, dtypes, devices, NaN.
+    """
+    check_matrices(R1=R1, R2=R2)
+    check_matrices(R1, shape=(3,), t1=t1, t2=t2)
+    shapes = (R1.shape[:-2], R2.shape[:-2], t1.shape[:-1], t2.shape[:-1])
+    batch = torch.broadcast_shapes(*shapes)
+    R1, R2 = (R.expand(*batch, 3, 3) for R in (R1, R2))
+    t1, t2 = (t.expand(*batch, 3)[..., None] for t in (t1, t2))
+    R, t = relative_camera_motion(R1, t1, R2, t2)
+    return R, t[..., 0]
+
+
+def se3_from_pose(R: Tensor, t: Tensor) -> Se3:
+    """Return a pose as kornia's ``Se3``, whose action on points is ``R X + t``.
+
+    Args:
+        R: ``(3, 3)`` or ``(B, 3, 3)``: Se3 takes at most one batch dimension. t: ``(3,)`` or
+            ``(B, 3)``.
+
+    Raises:
+        InputError: shapes, dtypes, devices, NaN.
+    """
+    check_matrices(R=R)
+    check_matrices(R, shape=(3,), t=t)
+    if R.ndim > 3 or t.ndim != R.ndim - 1:
+        raise InputError(
+            "R and t must have shapes (3, 3) and (3,), or (B, 3, 3) and (B, 3), "
+            f"not {tuple(R.shape)} and {tuple(t.shape)}"
+        )
+    return Se3(So3(Quaternion.from_matrix(R)), t)
+
+
+def pose_from_se3(pose: Se3) -> tuple[Tensor, Tensor]:
+    """Return R ``(*B, 3, 3)`` and t ``(*B, 3)`` of kornia's ``Se3``; see :func:`se3_from_pose`."""
+    M = pose.matrix()
+    return M[..., :3, :3], M[..., :3, 3]
 
 
 def rotation_error(R1: Tensor, R2: Tensor) -> Tensor:
-    """The angle of ``R1^T R2`` in degrees, ``(*B,)``, in [0, 180]; the derivative at equal
-    rotations is zero."""
+    """Return the angle of ``R1^T R2`` in degrees, ``(*B,)``, in [0, 180].
+
+    The derivative at equal rotations is zero. kornia 0.9.0 has no counterpart.
+    """
     check_matrices(R1=R1, R2=R2)
     D = R1.double().mT @ R2.double()
     axis = torch.stack(
@@ -97,12 +141,16 @@ def rotation_error(R1: Tensor, R2: Tensor) -> Tensor:
 
 
 def translation_error(t1: Tensor, t2: Tensor, sign_invariant: bool = False) -> Tensor:
-    """The angle between two translations in degrees, ``(*B,)``, in [0, 180]; their lengths do not
-    matter.
+    """Return the angle between two translations in degrees, ``(*B,)``, in [0, 180].
+
+    Their lengths do not matter; NaN where one of them is zero. kornia 0.9.0 has no counterpart.
 
     Args:
-        sign_invariant: take t and -t for the same, in [0, 90] (for what an essential matrix alone
-            can say).
+        sign_invariant: treat t and -t as equal, result in [0, 90]: an essential matrix alone does
+            not determine the sign.
+
+    Raises:
+        InputError: a translation is zero; shapes, dtypes, devices, NaN.
     """
     check_matrices(shape=(3,), t1=t1, t2=t2)
     a, b = torch.broadcast_tensors(t1.double(), t2.double())
@@ -116,17 +164,27 @@ def translation_error(t1: Tensor, t2: Tensor, sign_invariant: bool = False) -> T
 
 
 def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
-    """The area under the recall curve up to each threshold, over the threshold;
-    ``(*B, len(thresholds))`` in [0, 1].
+    """Return the area under the recall curve up to each threshold, divided by the threshold.
 
     The exact area under the step curve "share of pairs with an error of at most e", which is the
-    mean of ``max(0, 1 - error / threshold)``: no bins and no interpolation between pairs.
+    mean of ``max(0, 1 - error / threshold)``: no bins and no interpolation between pairs. kornia
+    0.9.0 has no counterpart.
 
     Args:
         errors_deg: ``(*B, N)`` one error per pair, degrees: usually the larger of rotation and
             translation error. NaN and infinity count as failures.
-        thresholds: degrees.
+        thresholds: degrees, positive.
+
+    Returns:
+        ``(*B, len(thresholds))`` in [0, 1].
+
+    Raises:
+        InputError: no errors, or a threshold that is not positive.
     """
+    if errors_deg.ndim < 1 or errors_deg.shape[-1] == 0:
+        raise InputError("errors_deg is empty: the area needs at least one pair")
+    if not all(t > 0 for t in thresholds):
+        raise InputError(f"thresholds must be positive degrees, not {list(thresholds)}")
     failed = ~torch.isfinite(errors_deg)
     e = torch.where(failed, torch.inf, errors_deg)[..., None]
     thr = torch.tensor(thresholds, dtype=errors_deg.dtype, device=errors_deg.device)
@@ -134,8 +192,7 @@ def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
 
 
 def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
-    """Raise InputError unless R is ``(*B, 3, 3)`` and t ``(*B, 3)``, finite, of one kind, and t
-    nowhere zero."""
+    """Raise InputError unless R is ``(*B, 3, 3)``, t ``(*B, 3)`` and not zero, both finite."""
     check_matrices(like, R=R)
     check_matrices(R, shape=(3,), t=t)
     if not _traced() and bool((t == 0).all(-1).any()):
@@ -143,7 +200,7 @@ def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
 
 
 def _length(v: Tensor) -> Tensor:
-    """|v| with derivative zero, not NaN, at zero."""
+    """Return |v| with derivative zero, not NaN, at zero."""
     square = (v * v).sum(-1)
     zero = square == 0
     return torch.where(zero, 0.0, torch.where(zero, 1.0, square).sqrt())

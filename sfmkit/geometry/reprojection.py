@@ -1,4 +1,4 @@
-"""From points in space to pixels, and how far those are from what was seen."""
+"""Projection of points in space to pixels, and reprojection errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ def project(
     t: Tensor | None = None,
     distortion: Tensor | None = None,
 ) -> Tensor:
-    """The pixels ``K distort(pi(R X + t))`` of points in space, ``(*B, N, 2)``.
+    """Project points in space to the pixels ``K distort(pi(R X + t))``, ``(*B, N, 2)``.
+
+    kornia's ``project_points`` (0.9.0) ignores the skew of K, takes no homogeneous points, and does
+    not divide where the depth is below 1e-8.
 
     Points behind the camera project too (through the centre); points in its focal plane come out
     infinite.
@@ -63,7 +66,9 @@ def reprojection_residuals(
     d1: Tensor | None = None,
     d2: Tensor | None = None,
 ) -> Tensor:
-    """Projected minus seen, ``(*B, N, 4)`` pixels: x and y in image 1, x and y in image 2.
+    """Return projected minus observed pixels, ``(*B, N, 4)``: x, y in image 1, x, y in image 2.
+
+    kornia 0.9.0 has no counterpart.
 
     Args:
         X: ``(*B, N, 3)`` points in camera 1 (or homogeneous ``(*B, N, 4)``).
@@ -90,8 +95,9 @@ def reprojection_error(
     d1: Tensor | None = None,
     d2: Tensor | None = None,
 ) -> Tensor:
-    """The root mean square over the two images of the distance between seen and projected,
-    ``(*B, N)`` pixels.
+    """Return the root mean square over the two images of the reprojection errors, ``(*B, N)``.
+
+    In pixels.
 
     Arguments and errors as :func:`reprojection_residuals`; the derivative at zero error is zero.
     """

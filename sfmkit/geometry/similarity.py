@@ -1,4 +1,4 @@
-"""Similarities: a rotation, a scale and a shift."""
+"""Similarities: rotation, scale and translation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..errors import DegenerateGeometryError, InputError
-from .checks import check_kind, check_values
+from .checks import _traced, check_kind, check_values
 
 
 class Similarity(NamedTuple):
@@ -17,7 +17,7 @@ class Similarity(NamedTuple):
     Attributes:
         s: (*B,) positive scale.
         R: (*B, 3, 3) rotation.
-        t: (*B, 3) shift.
+        t: (*B, 3) translation.
     """
 
     s: Tensor
@@ -25,18 +25,19 @@ class Similarity(NamedTuple):
     t: Tensor
 
     def apply(self, x: Tensor) -> Tensor:
-        """(*B, N, 3) points, moved."""
+        """Apply the similarity to (*B, N, 3) points."""
         return self.s[..., None, None] * x @ self.R.mT + self.t[..., None, :]
 
     def inverse(self) -> Similarity:
-        """The way back."""
+        """Return the inverse similarity."""
         s, R = 1 / self.s, self.R.mT
         return Similarity(s, R, -s[..., None] * (R @ self.t[..., None])[..., 0])
 
 
 def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
-    """The similarity that moves `x` nearest to `y`, in the sum of squared distances (Umeyama 1991,
-    equations 40 to 42).
+    """Fit the similarity with the least sum of squared distances between ``s R x + t`` and y.
+
+    kornia 0.9.0 has no counterpart.
 
     Args:
         x, y: (*B, N, 3) corresponding points.
@@ -44,7 +45,10 @@ def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
     Raises:
         InputError: the shapes or types do not fit, or values are not finite.
         DegenerateGeometryError: fewer than three pairs, or all points of `x` or of `y` on a line:
-            the rotation about it is open.
+            the rotation about it is not determined.
+
+    Source: Umeyama, "Least-squares estimation of transformation parameters between two point
+    patterns", PAMI 1991, equations 40 to 42.
     """
     check_kind(x=x, y=y)
     if x.shape != y.shape or x.ndim < 2 or x.shape[-1] != 3:
@@ -60,12 +64,12 @@ def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
     cx, cy = x - mean_x, y - mean_y
     U, D, Vh = torch.linalg.svd(cy.mT @ cx)
     spread = torch.linalg.svdvals(torch.stack([cx, cy]))
-    if bool((spread[..., 1] <= 1e-9 * spread[..., 0]).any()):
+    if not _traced() and bool((spread[..., 1] <= 1e-9 * spread[..., 0]).any()):
         raise DegenerateGeometryError(
-            "the points lie on a line, which leaves the rotation about it open"
+            "the points lie on a line, so the rotation about it is not determined"
         )
-    sign = torch.ones_like(D)
-    sign[..., 2] = torch.linalg.det(U @ Vh).sign()  # a rotation, not a reflection
+    turn = torch.linalg.det(U @ Vh).sign()  # a rotation, not a reflection
+    sign = torch.stack((torch.ones_like(turn), torch.ones_like(turn), turn), -1)
     R = U @ (sign[..., None] * Vh)
     s = (D * sign).sum(-1) / cx.square().sum((-2, -1))
     t = mean_y[..., 0, :] - s[..., None] * (R @ mean_x.mT)[..., 0]
