@@ -10,7 +10,7 @@ import click
 
 from .ablate_report import report
 from .parsing import names, size_in_bytes
-from .progress import goes_on
+from .progress import resumable
 
 
 @click.group(invoke_without_command=True, subcommand_metavar="[COMMAND ...]")
@@ -30,7 +30,7 @@ from .progress import goes_on
     metavar="all|pairs|leave-one-out|LIST",
     help="Which combinations; a list is surf/orb,sift.",
 )
-@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, metavar="N")
+@click.option("--seeds", type=click.IntRange(1, 10_000), default=1, show_default=True, metavar="N")
 @click.option(
     "--preset",
     default="default",
@@ -58,7 +58,7 @@ from .progress import goes_on
 )
 @click.option(
     "--workers",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 1024),
     metavar="N",
     help="Local processes; default: one a core.",
 )
@@ -140,7 +140,7 @@ def run(
     if dry_run:
         print_plan(data, operators, combos, seeds, preset, settings, cache, root, workers)
         return
-    with goes_on(), bar(enabled=not quiet, console=Console(stderr=True)) as watch:
+    with resumable(), bar(enabled=not quiet, console=Console(stderr=True)) as watch:
         table = start(
             data,
             operators,

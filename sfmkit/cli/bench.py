@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from .._utils.progress import Progress
 from .parsing import names
-from .progress import goes_on
+from .progress import resumable
 
 if TYPE_CHECKING:
     from ..reports.result import Result
@@ -47,7 +47,7 @@ def PRESETS(default: str) -> Callable:
 
 MAX_SIZE = click.option(
     "--max-size",
-    type=click.IntRange(min=16),
+    type=click.IntRange(16, 100_000),
     metavar="PX",
     help="Detect on images reduced to this longest side.",
 )
@@ -69,9 +69,9 @@ def OUT(name: str) -> Callable:
     "--sequences", callback=names, metavar="A,B", help="Some of the eight sequences; default: all."
 )
 @OPERATORS
-@click.option("--seeds", type=click.IntRange(min=1), default=5, show_default=True, metavar="N")
+@click.option("--seeds", type=click.IntRange(1, 10_000), default=5, show_default=True, metavar="N")
 @click.option(
-    "--workers", type=click.IntRange(min=1), metavar="N", help="Processes; default: one a core."
+    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one a core."
 )
 @OUT("oxford")
 @DATA
@@ -107,7 +107,7 @@ def oxford(
 )
 @OPERATORS
 @PRESETS("paper,default,dense")
-@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, metavar="N")
+@click.option("--seeds", type=click.IntRange(1, 10_000), default=3, show_default=True, metavar="N")
 @MAX_SIZE
 @click.option(
     "--scenes",
@@ -152,7 +152,7 @@ def fountain(
 @click.option("--sequence", metavar="NAME", help="Folder below uav/; default: the first.")
 @click.option(
     "--step",
-    type=int,
+    type=click.IntRange(1, 10_000),
     metavar="N",
     help="How far apart photographs of a wide pair are.  [default: 4]",
 )
@@ -253,7 +253,7 @@ def parts_bar(bench: str) -> Iterator[Progress]:
         TimeElapsedColumn(),
         TextColumn("{task.description}"),
     )
-    with goes_on(), Bars(*columns, console=Console(stderr=True)) as bar:
+    with resumable(), Bars(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=1.0)
 
         def report(stage: str, detail: str = "", *, fraction: float | None = None) -> None:

@@ -10,6 +10,7 @@ import click
 from .._utils.writing import check_free
 from ..errors import InputError
 from .clouds import read_cloud
+from .parsing import POSITIVE, SEED
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ CLOUD = click.Path(path_type=Path)
 @click.argument("second", type=CLOUD, metavar="B.ply")
 @click.option(
     "--radius",
-    type=float,
+    type=POSITIVE,
     metavar="R",
     help="Of the density, in A's unit.  [default: 10 x its points' spacing]",
 )
@@ -33,7 +34,7 @@ CLOUD = click.Path(path_type=Path)
     metavar="FILE",
     help="Where to start: lines of two numbers, a vertex of A and of B, from 0.",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

@@ -9,6 +9,7 @@ import click
 
 from .._utils.writing import check_free
 from .clouds import read_cloud
+from .parsing import POSITIVE
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 @click.argument("cloud", type=click.Path(path_type=Path), metavar="CLOUD.ply")
 @click.option(
     "--radius",
-    type=float,
+    type=POSITIVE,
     metavar="R",
     help="In the cloud's unit.  [default: 10 x the points' spacing]",
 )

@@ -1,6 +1,9 @@
-"""How a command ends."""
+"""Exit statuses of the commands; docs/commands.md describes them."""
+
+__all__ = ["BAD_INPUT", "CRASHED", "INTERRUPTED", "OK", "UNTRUSTWORTHY"]
 
 OK = 0
-UNTRUSTWORTHY = 1  # ran, but found no trustworthy result; the report says why
-BAD_INPUT = 2  # or wrong usage
-INTERRUPTED = 130
+UNTRUSTWORTHY = 1  # the command ran and found no trustworthy result; the report gives the reason
+BAD_INPUT = 2  # bad input, wrong usage, or an output that cannot be written
+CRASHED = 70  # a fault of sfmkit; EX_SOFTWARE of sysexits.h
+INTERRUPTED = 130  # Ctrl-C; other signals give 128 + n as well: 129 for SIGHUP, 143 for SIGTERM

@@ -8,21 +8,34 @@ import click
 
 from ..errors import InputError
 
+__all__ = ["inspect", "view"]
+
 RECORDING = click.Path(path_type=Path)
 
 
 @click.command()
 @click.argument("recording", type=RECORDING)
-@click.option("--point", type=int, metavar="N", help="Where point N of the cloud comes from.")
-@click.option("--operator", metavar="NAME", help="How an operator did.")
-@click.option("--entity", metavar="PATH", help="What an entity holds, e.g. /world/points/operator.")
 @click.option(
-    "--diff", type=RECORDING, metavar="OTHER", help="What changed from RECORDING to OTHER."
+    "--point",
+    type=click.IntRange(0, 2**63 - 1),
+    metavar="N",
+    help="Print the origin of point N of the cloud.",
+)
+@click.option("--operator", metavar="NAME", help="Print the statistics of one operator.")
+@click.option(
+    "--entity", metavar="PATH", help="Print what an entity holds, e.g. /world/points/operator."
+)
+@click.option(
+    "--diff",
+    type=RECORDING,
+    metavar="OTHER",
+    help="Print the differences between RECORDING and OTHER.",
 )
 @click.option(
     "--prefix",
     default="",
-    help="Where in the recording the reconstruction was logged, if not at its root.",
+    metavar="PATH",
+    help="Entity path below which the reconstruction was logged, if not the root.",
 )
 def inspect(
     recording: Path,
@@ -32,12 +45,12 @@ def inspect(
     diff: Path | None,
     prefix: str,
 ) -> None:
-    """Read a recording (.rrd) back and answer in text.
+    """Print what a recording (.rrd) holds.
 
-    Without an option: verdict, pose, account, times.
+    Without an option: verdict, pose, statistics per operator, times.
     """
     if sum(question is not None for question in (point, operator, entity, diff)) > 1:
-        raise InputError("ask one thing at a time: --point, --operator, --entity or --diff")
+        raise InputError("use one of --point, --operator, --entity and --diff at a time")
     from ..recording import inspection
 
     prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
@@ -60,17 +73,19 @@ def inspect(
     "--web", is_flag=True, help="Serve the viewer to a browser on this machine; needs no display."
 )
 def view(recording: Path, web: bool) -> None:
-    """Open a recording (.rrd) in the Rerun viewer of this environment; it listens on 127.0.0.1
-    only."""
+    """Open a recording (.rrd) in the Rerun viewer of this environment.
+
+    The viewer listens on 127.0.0.1 only.
+    """
     from ..recording import viewer
 
     if not web:
         viewer.open_window(recording)
         return
     with viewer.serve(recording) as server:
-        click.echo(f"{server.url}\nCtrl-C ends it.")
+        click.echo(f"{server.url}\nPress Ctrl-C to stop the server.")
         click.echo(
-            f"From elsewhere: ssh -L {server.web_port}:127.0.0.1:{server.web_port} "
+            f"From another machine: ssh -L {server.web_port}:127.0.0.1:{server.web_port} "
             f"-L {server.data_port}:127.0.0.1:{server.data_port} HOST",
             err=True,
         )

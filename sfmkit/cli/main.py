@@ -1,16 +1,24 @@
-"""The ``sfmkit`` command. Nothing heavy is imported before a command runs, so that ``--help``
-answers at once."""
+"""The ``sfmkit`` command.
+
+Nothing heavy is imported before a command runs, so that ``--help`` answers at once.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
 import click
 
 from .._version import __version__
-from .exit_status import BAD_INPUT, INTERRUPTED, OK
+from ..errors import SfmError
+from . import signals, streams
+from .crash import describe_crash
+from .exit_status import BAD_INPUT, CRASHED, INTERRUPTED, OK
+
+__all__ = ["COMMANDS", "Group", "main"]
 
 # command -> module below sfmkit.cli, and its name there
 COMMANDS = {
@@ -31,8 +39,7 @@ COMMANDS = {
 
 
 class Group(click.Group):
-    """A group that imports a command when it is asked for, and ends with a message instead of a
-    traceback."""
+    """A group that imports a command when it is used, and turns every end into an exit status."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -44,27 +51,77 @@ class Group(click.Group):
         return getattr(import_module(f".{module}", __package__), name)
 
     def invoke(self, ctx: click.Context) -> Any:
-        from ..errors import SfmError
-
         try:
             return super().invoke(ctx)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
         except SfmError as error:
             click.echo(f"error: {error}", err=True)
-            sys.exit(BAD_INPUT)
+            status = BAD_INPUT
+        except MemoryError:
+            click.echo(
+                "error: out of memory; try a smaller --max-size or --budget where there is one",
+                err=True,
+            )
+            status = BAD_INPUT
         except BrokenPipeError:
-            sys.exit(OK)  # whoever read us has had enough
-        except KeyboardInterrupt:
-            click.echo("interrupted; nothing was written", err=True)
-            sys.exit(INTERRUPTED)
+            status = OK  # the reader of standard output has closed it
+        except KeyboardInterrupt as interrupt:
+            click.echo(f"{signals.describe(interrupt)}; nothing was written", err=True)
+            status = signals.status_of(interrupt)
+        except Exception as error:
+            click.echo(describe_crash(error), err=True)
+            status = CRASHED
+        ctx.exit(status)
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, False, **extra)
+        with signals.raised_as_exceptions():
+            try:
+                status = super().main(args, prog_name, complete_var, False, **extra)
+            except SystemExit as leaving:
+                status = leaving.code
+            except click.ClickException as error:
+                error.show()
+                status = BAD_INPUT
+            except click.Abort as abort:
+                cause = abort.__cause__
+                if isinstance(cause, KeyboardInterrupt):
+                    status = signals.status_of(cause)
+                else:
+                    status = INTERRUPTED
+                click.echo("aborted; nothing was changed", err=True)
+            status = status if isinstance(status, int) else OK
+            if (failure := streams.failure()) is not None:
+                reason = failure.strerror or failure
+                click.echo(f"error: standard output cannot be written: {reason}", err=True)
+                status = BAD_INPUT if status == OK else status
+        sys.exit(status)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a process of its own, whose standard streams belong to it."""
+        streams.protect()
+        return self.main(*args, **kwargs)
 
 
 @click.group(
-    cls=Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
+    cls=Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
 )
 @click.version_option(__version__, prog_name="sfmkit")
 def main() -> None:
-    """Two photographs in, a coloured 3-D cloud out, and an account of which detector contributed
-    what."""
+    """Reconstruct a scene from two photographs, with statistics per feature operator.
+
+    Exit status: 0 done, 1 no trustworthy result, 2 bad input, 70 a fault of sfmkit, 128 + n ended
+    by signal n (130 Ctrl-C).
+    """
 
 
 if __name__ == "__main__":

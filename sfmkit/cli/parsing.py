@@ -2,29 +2,52 @@
 
 from __future__ import annotations
 
+import math
 import re
+from typing import Any
 
 import click
 
+__all__ = ["POSITIVE", "SEED", "Finite", "names", "size_in_bytes"]
+
+SEED = click.IntRange(0, 2**31 - 1)  # what every back end accepts; OpenCV takes a C int
+
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+
+
+class Finite(click.FloatRange):
+    """A number of a range; infinity and NaN are refused."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+POSITIVE = Finite(min=0, min_open=True)
 
 
 def names(
     _ctx: click.Context, _param: click.Parameter, value: str | None
 ) -> tuple[str, ...] | None:
-    """``"a, b"`` as ``("a", "b")``; an option that was not given stays None."""
-    return (
-        None if value is None else tuple(part.strip() for part in value.split(",") if part.strip())
-    )
+    """Split ``"a, b"`` into ``("a", "b")``; an option that was not given stays None."""
+    if value is None:
+        return None
+    return tuple(part.strip() for part in value.split(",") if part.strip())
 
 
 def size_in_bytes(_ctx: click.Context, _param: click.Parameter, value: str) -> int:
-    """``"8GB"`` as 8,000,000,000."""
+    """Convert ``"8GB"`` to 8,000,000,000."""
     found = re.fullmatch(r"\s*([0-9.]+)\s*([KMGT]?)B?\s*", value.upper())
     try:
         size = round(float(found[1]) * _UNITS[found[2]]) if found else 0
-    except ValueError:
+    except (ValueError, OverflowError):
         size = 0
-    if size <= 0:
-        raise click.BadParameter(f"{value!r} is no size; write, for instance, 8GB or 500MB")
+    if not 0 < size < 2**63:
+        raise click.BadParameter(f"{value!r} is not a size; write, for instance, 8GB or 500MB")
     return size

@@ -1,4 +1,4 @@
-"""What a command says while it works."""
+"""What a command prints on standard error while it works."""
 
 from __future__ import annotations
 
@@ -9,22 +9,30 @@ from contextlib import contextmanager
 import click
 
 from .._utils.progress import Progress, silent
-from .exit_status import INTERRUPTED
+from . import signals
+
+__all__ = ["progress", "resumable"]
 
 
 @contextmanager
-def goes_on() -> Iterator[None]:
-    """Ctrl-C ends work of which nothing is lost, and says so."""
+def resumable() -> Iterator[None]:
+    """End with a message about resuming when the work is interrupted, since nothing is lost."""
     try:
         yield
-    except KeyboardInterrupt:
-        click.echo("interrupted; the same command goes on where it stopped", err=True)
-        sys.exit(INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        message = f"{signals.describe(interrupt)}; run the same command again to resume"
+        click.echo(message, err=True)
+        sys.exit(signals.status_of(interrupt))
 
 
 @contextmanager
 def progress(enabled: bool) -> Iterator[Progress]:
-    """Show one live line on a terminal, and print one line per stage elsewhere."""
+    """Report progress on standard error.
+
+    Yields:
+        The function to report to: it updates one live line on a terminal, and prints one line per
+        stage elsewhere.
+    """
     if not enabled:
         yield silent
         return

@@ -11,7 +11,7 @@ import click
 
 from .._utils.writing import check_free
 from .exit_status import OK, UNTRUSTWORTHY
-from .parsing import names
+from .parsing import POSITIVE, SEED, names
 from .progress import progress
 
 OPERATORS = "surf,orb,fast-brief"
@@ -50,24 +50,24 @@ def given(**values: Any) -> dict[str, Any]:
     help="Robust estimator; default: the preset's.",
 )
 @click.option(
-    "--threshold", type=float, metavar="PX", help="Inlier distance to the epipolar line, pixels."
+    "--threshold", type=POSITIVE, metavar="PX", help="Inlier distance to the epipolar line, pixels."
 )
 @click.option(
     "--budget",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000_000),
     metavar="N",
     help="Keypoints per operator and image, spread evenly.  [default preset: 40000, dense: 80000]",
 )
 @click.option(
     "--max-size",
-    type=click.IntRange(min=16),
+    type=click.IntRange(16, 100_000),
     metavar="PX",
     help="Detect on images reduced to this longest side.",
 )
 @click.option(
     "--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B."
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

@@ -1,10 +1,12 @@
-"""``sfmkit report``: the benchmarks' results on one page."""
+"""``sfmkit report``: the results of the benchmarks on one page."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+
+__all__ = ["report"]
 
 
 @click.command()
@@ -15,10 +17,12 @@ import click
     help="The page to write.  [default: report.html in FOLDER]",
 )
 def report(folder: Path, out: Path | None) -> None:
-    """One self-contained HTML page of all results of `sfmkit bench` below FOLDER (default: out)."""
+    """Write one self-contained HTML page of all results of `sfmkit bench` below FOLDER.
+
+    FOLDER is "out" by default.
+    """
     from ..reports.html import write_report
 
     path = write_report(folder, out)
-    click.echo(
-        f"{path}: {path.stat().st_size / 2**20:.1f} MiB, for any browser; no network is needed"
-    )
+    size = path.stat().st_size / 2**20
+    click.echo(f"{path}: {size:.1f} MiB, for any browser; no network is needed")

@@ -1,0 +1,67 @@
+"""SIGTERM and SIGHUP end a command as Ctrl-C does: by an exception, so that it is tidied up."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+__all__ = ["Terminated", "describe", "raised_as_exceptions", "status_of"]
+
+
+class Terminated(KeyboardInterrupt):
+    """The process received a signal that asks it to end.
+
+    A KeyboardInterrupt, so that whatever cleans up after Ctrl-C does so after this too.
+
+    Attributes:
+        signal: which one.
+    """
+
+    def __init__(self, number: signal.Signals) -> None:
+        super().__init__(number.name)
+        self.signal = number
+
+
+def status_of(interrupt: KeyboardInterrupt) -> int:
+    """The exit status 128 + n for the signal n."""
+    return 128 + (interrupt.signal if isinstance(interrupt, Terminated) else signal.SIGINT)
+
+
+def describe(interrupt: KeyboardInterrupt) -> str:
+    """What ended the command, for a message."""
+    return f"ended by {interrupt}" if isinstance(interrupt, Terminated) else "interrupted"
+
+
+@contextmanager
+def raised_as_exceptions() -> Iterator[None]:
+    """Raise :class:`Terminated` on SIGTERM and SIGHUP while the block runs.
+
+    After the first one, further ones are ignored, so that they do not disturb the clean-up. A
+    signal that the caller has ignored (nohup) stays ignored.
+    """
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    numbers = [signal.Signals[name] for name in names]
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set handlers, and only it receives signals
+        return
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        for other in before:
+            signal.signal(other, signal.SIG_IGN)
+        raise Terminated(signal.Signals(number))
+
+    before = {
+        number: signal.getsignal(number)
+        for number in numbers
+        if signal.getsignal(number) == signal.SIG_DFL
+    }
+    try:
+        for number in before:
+            signal.signal(number, end)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
