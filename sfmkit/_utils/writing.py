@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import OutputError
+from .staging import remove_stale, staged_name
+
+__all__ = ["atomic_write", "check_free", "staged_folder"]
+
+_LEAST_SPACE = 8 << 20  # bytes; the pictures and the recording of a small pair take 2 to 5 MB
 
 
 @contextmanager
@@ -26,10 +30,12 @@ def atomic_write(path: str | os.PathLike) -> Iterator[Path]:
             is full.
     """
     path = Path(path)
-    if path.is_dir():
+    _check_name(path)
+    if os.path.isdir(path):
         raise OutputError(f"{path} is a folder; name a file to write")
-    temporary = _beside(path)
+    temporary = staged_name(path)
     try:
+        remove_stale(path.parent)
         temporary.open("xb").close()
         yield temporary
         _sync(temporary)
@@ -43,8 +49,7 @@ def atomic_write(path: str | os.PathLike) -> Iterator[Path]:
 
 @contextmanager
 def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[Path]:
-    """Fill a folder under a hidden temporary name beside `path`, and move it there once it is
-    complete.
+    """Fill a folder under a hidden name beside `path`, and move it there once it is complete.
 
     A failure of any kind, Ctrl-C included, leaves no temporary folder, and the folder that was at
     `path` before as it was. Missing parents are made, and removed again on failure.
@@ -61,11 +66,13 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
             or the disk is full.
     """
     path = Path(os.path.abspath(path))  # not resolved: a link is replaced, not what it points to
-    check_free(path, overwrite)
-    made = [parent for parent in path.parents if not parent.exists()]  # innermost first
-    staged = _beside(path)
+    _check_name(path)
+    _check_taken(path, overwrite)
+    made = [parent for parent in path.parents if not os.path.lexists(parent)]  # innermost first
+    staged = staged_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(path.parent)
         staged.mkdir()
         yield staged
         for file in staged.rglob("*"):
@@ -78,42 +85,89 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
     finally:
         shutil.rmtree(staged, ignore_errors=True)
         for parent in made:
-            with suppress(OSError):  # never made, or not ours alone any more
+            with suppress(OSError):  # it was not made, or holds something else by now
                 parent.rmdir()
 
 
 def check_free(path: Path, overwrite: bool) -> None:
-    """Refuse a folder's `path` that is taken, as :func:`staged_folder` would: for commands, before
-    they work for it.
+    """Check before the work that a folder can be written to `path` by :func:`staged_folder`.
+
+    The nearest existing folder above it must be writable and have 8 MiB left. This is tried by
+    making and removing a hidden folder there.
 
     Raises:
         OutputError: `path` exists and `overwrite` is not set, is a file, or holds the working
-            folder.
+            folder; it cannot be written; its name is too long; or the disk is full.
     """
-    if path.is_dir():
+    path = Path(os.path.abspath(path))
+    _check_name(path)
+    _check_taken(path, overwrite)
+    parent = next(p for p in path.parents if os.path.lexists(p))
+    if not parent.is_dir():
+        raise OutputError(f"{path} cannot be written: {parent} is not a folder")
+    trial = staged_name(parent / "trial")
+    try:
+        remove_stale(parent)
+        trial.mkdir()
+        trial.rmdir()
+        left = shutil.disk_usage(parent).free
+    except OSError as error:
+        raise _output_error(path, error) from error
+    if left < _LEAST_SPACE:
+        raise OutputError(
+            f"{path} cannot be written: {left / 2**20:.1f} MiB are left on the disk, "
+            f"at least {_LEAST_SPACE >> 20} are needed"
+        )
+
+
+def _check_taken(path: Path, overwrite: bool) -> None:
+    if os.path.isdir(path):
         if not overwrite:
             raise OutputError(
-                f"the folder {path} exists; choose another with --out, or replace it with --overwrite"
+                f"the folder {path} exists; choose another with --out, or replace it with "
+                "--overwrite"
             )
-        if Path(os.path.abspath(path)) in (Path.cwd(), *Path.cwd().parents):
+        if path in (Path.cwd(), *Path.cwd().parents):
             raise OutputError(
-                f"{path} is the working folder or above it and is not replaced; choose a folder in it"
+                f"{path} is the working folder or above it and is not replaced; choose a folder "
+                "below it"
             )
     elif os.path.lexists(path):
         raise OutputError(f"{path} is a file; choose a folder to write to")
 
 
+def _check_name(path: Path) -> None:
+    """Refuse names that no file system takes; they could not even be looked up."""
+    try:
+        encoded = [os.fsencode(part) for part in path.parts]
+    except UnicodeEncodeError as error:
+        raise OutputError(f"{str(path)!r} cannot be written: {error.reason}") from error
+    if any(b"\0" in part for part in encoded):
+        raise OutputError(f"{str(path)!r} cannot be written: a name must not hold a zero byte")
+    longest = max(encoded, key=len, default=b"")
+    if len(os.fsencode(path)) > 4000:  # PATH_MAX is 4096, and files are written below it
+        raise OutputError(f"the path {str(path)[:40]}... cannot be written: it is too long")
+    if len(longest) > 255:  # NAME_MAX of the file systems in use
+        name = os.fsdecode(longest[:40])
+        raise OutputError(
+            f"the name {name}... cannot be written: it has {len(longest)} bytes, at most 255 fit"
+        )
+
+
 def _move_folder(staged: Path, path: Path, overwrite: bool) -> None:
-    """Move `staged` to `path`; a folder that is there steps aside first, for no folder can be
-    renamed onto another."""
+    """Move `staged` to `path`.
+
+    An existing folder is moved aside first, because a folder cannot be renamed onto another.
+    """
     if not path.exists():
         staged.rename(path)
         return
     if not overwrite:
         raise OutputError(
-            f"the folder {path} has appeared meanwhile; choose another, or use --overwrite"
+            f"the folder {path} was made by another program meanwhile; choose another, or use "
+            "--overwrite"
         )
-    old = _beside(path)
+    old = staged_name(path)
     try:
         path.rename(old)
         staged.rename(path)
@@ -126,13 +180,8 @@ def _move_folder(staged: Path, path: Path, overwrite: bool) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _beside(path: Path) -> Path:
-    """A hidden name in the same folder, and so on the same disk, that nobody else has."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}{path.suffix}")
-
-
 def _sync(file: Path) -> None:
-    """Have the disk hold the file's bytes; a full disk may tell only now."""
+    """Wait until the disk holds the file; some file systems report a full disk only then."""
     with file.open("rb+") as stream:
         os.fsync(stream.fileno())
 

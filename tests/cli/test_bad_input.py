@@ -63,7 +63,7 @@ def is_refused(result, out: Path, *words: str) -> None:
         assert word.lower() in message, message
     assert "traceback" not in message
     assert not out.exists()
-    assert [p.name for p in out.parent.iterdir() if p.name.startswith("." + out.name)] == []
+    assert [p.name for p in out.parent.iterdir() if p.name.startswith(".sfmkit-")] == []
 
 
 # --- images

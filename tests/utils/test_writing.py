@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sfmkit._utils.writing import atomic_write, staged_folder
+from sfmkit._utils.writing import atomic_write, check_free, staged_folder
 from sfmkit.errors import OutputError
 
 
@@ -67,7 +67,7 @@ def test_file_that_cannot_be(tmp_path):
 
 def test_folder_with_its_parents(tmp_path):
     with staged_folder(tmp_path / "a" / "b") as folder:
-        assert folder.name.startswith(".b")
+        assert folder.name.startswith(".sfmkit-")
         (folder / "sub").mkdir()
         (folder / "sub" / "x").write_text("x")
         assert not (tmp_path / "a" / "b").exists()
@@ -205,3 +205,79 @@ def test_disk_full(tmp_path):
         [*own, sys.executable, "-c", FULL_DISK, tmp_path], capture_output=True, text=True
     )
     assert done.stdout == "done\n", done.stderr
+
+
+KILLED = """
+import os, signal, sys
+from sfmkit._utils.writing import atomic_write, staged_folder
+with staged_folder(sys.argv[1] + "/o") as folder, atomic_write(sys.argv[1] + "/a.npz") as file:
+    (folder / "cloud.ply").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    left = list(tmp_path.iterdir())
+    assert len(left) == 2
+    assert all(p.name.startswith(".sfmkit-") for p in left)
+    place = left[0].name.split("-")[1]
+    kept = {
+        f".sfmkit-{place}-{os.getpid()}-01234567",  # of a process that runs
+        f".sfmkit-{place}-99999999-0123456",  # not our pattern
+        ".sfmkit-notes",
+        ".o.7c5480fd",
+        ".sfmkit-01234567-99999999-01234567",  # of another machine or boot, an hour old
+    }
+    for name in kept:
+        (tmp_path / name).mkdir()
+    old = tmp_path / ".sfmkit-01234567-99999999-89abcdef"
+    old.mkdir()
+    os.utime(old, (0, 0))
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / "precious").write_text("p")
+    link = tmp_path / f".sfmkit-{place}-99999999-01234567"
+    link.symlink_to(target)
+    with staged_folder(tmp_path / "o") as folder:
+        (folder / "new").write_text("new")
+    assert {p.name for p in tmp_path.iterdir()} == kept | {"o", "target", link.name}
+    assert (target / "precious").read_text() == "p"
+
+
+def test_a_name_may_be_as_long_as_the_system_takes(tmp_path):
+    with staged_folder(tmp_path / ("a" * 255)) as folder:
+        (folder / "x").write_text("x")
+    with atomic_write(tmp_path / ("b" * 200 + "." + "c" * 54)) as file:
+        file.write_text("x")
+    for name, reason in (
+        ("a" * 256, "255"),
+        ("é" * 128, "255"),
+        ("a\0b", "zero byte"),
+        ("a/" * 3000, "too long"),
+    ):
+        for manager in (staged_folder, atomic_write):
+            with pytest.raises(OutputError, match=reason), manager(tmp_path / name):
+                pass
+        with pytest.raises(OutputError, match=reason):
+            check_free(tmp_path / name / "below", overwrite=False)
+
+
+def test_the_check_before_the_work(tmp_path, monkeypatch):
+    check_free(tmp_path / "a" / "b" / "c", overwrite=False)
+    check_free(tmp_path / "caf\udce9", overwrite=False)  # not UTF-8, which the system takes
+    assert tree(tmp_path) == {}
+    (tmp_path / "file").write_text("f")
+    for bad, reason in (
+        (tmp_path / "file", "is a file"),
+        (tmp_path / "file" / "o" / "p", "is not a folder"),
+        (Path("/proc/x/y"), "cannot be written"),
+    ):
+        if bad.parts[1] != "proc" or Path("/proc").is_dir():
+            with pytest.raises(OutputError, match=reason):
+                check_free(bad, overwrite=True)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+    with pytest.raises(OutputError, match=r"1\.0 MiB are left"):
+        check_free(tmp_path / "o", overwrite=False)
+    assert tree(tmp_path) == {"file": "f"}
