@@ -6,7 +6,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from ._utils.forking import use_one_thread_after_fork
 from ._version import __version__
+
+use_one_thread_after_fork()
 
 # name -> module that defines it. Imported on first use: `import sfmkit` costs milliseconds, torch
 # over a second.

@@ -1,10 +1,9 @@
-"""``sfmkit lab``: JupyterLab on the notebooks, on this machine only and without the web."""
+"""``sfmkit lab``: JupyterLab on the notebooks, on 127.0.0.1 only and without the web."""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,18 +11,21 @@ from urllib.parse import quote
 
 import click
 
+from .._utils import tether
 from ..errors import InputError
+
+__all__ = ["lab", "lab_command", "notebook_folder", "runs_as_root"]
 
 HOST = "127.0.0.1"
 
 
 def notebook_folder(folder: Path | None) -> Path:
-    """The folder to open: the one given, or ``notebooks`` beside the package or below the working
-    directory.
+    """Find the folder to open.
+
+    It is the one given, or ``notebooks`` beside the package or below the working directory.
 
     Raises:
-        InputError: none of these holds a notebook, as with a wheel that was installed without the
-            repository.
+        InputError: none of these holds a notebook; an installed wheel comes without them.
     """
     if folder is not None:
         if not folder.is_dir() or not any(folder.glob("*.ipynb")):
@@ -33,13 +35,13 @@ def notebook_folder(folder: Path | None) -> Path:
         if any(place.glob("*.ipynb")):
             return place.resolve()
     raise InputError(
-        "there are no notebooks here: an installed sfmkit comes without them. Clone the repository and run `sfmkit lab` "
-        "in it, or name their folder: sfmkit lab FOLDER"
+        "there are no notebooks here: an installed sfmkit comes without them. Clone the repository "
+        "and run `sfmkit lab` in it, or name their folder: sfmkit lab FOLDER"
     )
 
 
 def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict[str, str]]:
-    """The command line of JupyterLab and its environment."""
+    """Make the command line of JupyterLab and its environment."""
     first = min(folder.glob("*.ipynb"))
     command = [
         sys.executable,
@@ -57,13 +59,11 @@ def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict
         command.append("--ServerApp.open_browser=False")
     if runs_as_root():
         command.append("--ServerApp.allow_root=True")
-    # The folder above labconfig/, whose settings keep JupyterLab from asking about news: it would
-    # look for them on the web.
+    # The folder above labconfig/, whose settings stop JupyterLab from looking for news on the web.
     settings = os.pathsep.join(
         filter(None, (str(Path(__file__).parent), os.environ.get("JUPYTER_CONFIG_PATH")))
     )
-    # The embedded viewer's page is served by the kernel: read when rerun is imported, so it must be
-    # there before.
+    # rerun reads the variable when it is imported: the kernel is to serve the viewer's page.
     return command, {
         **os.environ,
         "JUPYTER_CONFIG_PATH": settings,
@@ -72,6 +72,7 @@ def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict
 
 
 def runs_as_root() -> bool:
+    """Whether the process has the rights of root, as in most containers."""
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
@@ -92,8 +93,7 @@ def lab(folder: Path | None, port: int, browser: bool) -> None:
 
     FOLDER: other notebooks than the project's own.
 
-    As root, as in most containers, it starts too: whoever opens the page with its token is root in
-    the notebooks.
+    It also starts as root, as in most containers; then the notebooks run as root.
     """
     place = notebook_folder(folder)
     if find_spec("jupyterlab") is None:
@@ -102,11 +102,16 @@ def lab(folder: Path | None, port: int, browser: bool) -> None:
         )
     if runs_as_root():
         click.echo(
-            "running as root: so will the notebooks. The page asks for a token and listens on 127.0.0.1 only.",
+            "running as root, and so will the notebooks. The page asks for a token and listens on "
+            "127.0.0.1 only.",
             err=True,
         )
     command, environment = lab_command(place, port, browser)
-    signal.signal(
-        signal.SIGINT, lambda *_: None
-    )  # Ctrl-C is JupyterLab's, which asks about it and ends tidily
-    sys.exit(subprocess.run(command, env=environment, check=False).returncode)
+    if sys.stdin is not None and sys.stdin.isatty():
+        signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C reaches JupyterLab, which asks
+    server = tether.start(command, environment)
+    try:
+        status = server.wait()
+    finally:
+        server.end()
+    sys.exit(status)

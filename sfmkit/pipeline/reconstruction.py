@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.labels import label
 from .._utils.progress import Progress
 from ..errors import CameraError, InputError, OperatorError
 from ..estimation import Adjustment, adjust, estimate_two_view, undistorted_pixels
@@ -362,5 +363,5 @@ def pose_errors(view: TwoView, R: np.ndarray, t: np.ndarray) -> dict[str, float]
 
 
 def name_of(image: Image, number: int) -> str:
-    """What to call an image in outputs."""
-    return Path(image.path).name if image.path else f"image{number}"
+    """Name of an image in outputs."""
+    return label(Path(image.path).name) if image.path else f"image{number}"

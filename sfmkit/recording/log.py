@@ -19,8 +19,8 @@ import numpy as np
 import rerun as rr
 from matplotlib import colormaps
 
+from .._utils.labels import label
 from .._utils.writing import atomic_write
-from ..errors import OutputError
 from ..geometry.fundamental import fundamental_from_essential
 from ..geometry.reprojection import project
 from ..pipeline.account import ALL, OperatorAccount
@@ -34,7 +34,7 @@ from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty, oper
 from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
 from .log_photos import log_keypoints, log_matches, log_photographs, side_by_side
 from .log_steps import log_ransac
-from .stream import MAGENTA, columns, new_stream, put
+from .stream import MAGENTA, columns, drain, new_stream, put
 from .trace import Trace, matches_to_rows, trace, trace_keypoints
 
 SCHEMA = 2  # of the recording; docs/recording.md says what each number means
@@ -59,16 +59,13 @@ def save_recording(
         OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary:
-        rec = new_stream(Path(path).stem)
+        rec = new_stream(label(Path(path).stem))
         try:
-            rec.save(temporary, default_blueprint=default_blueprint(result))
             rec.send_recording_name(
                 " + ".join(name_of(image, n) for n, image in enumerate(result.images, start=1))
             )
             log_reconstruction(rec, result, originals=originals)
-            rec.flush()
-        except (RuntimeError, ValueError) as error:
-            raise OutputError(f"{path} cannot be written: {error}") from error
+            temporary.write_bytes(drain(rec, default_blueprint(result)))
         finally:
             rec.disconnect()
 

@@ -40,6 +40,20 @@ def new_stream(name: str) -> rr.RecordingStream:
     return rec
 
 
+def drain(rec: rr.RecordingStream, blueprint: Any = None) -> bytes:
+    """Take everything that was logged out of a stream, as the content of an .rrd file.
+
+    Files are not written by Rerun itself, for two reasons (0.41, on a full disk): a flush of its
+    file sink never returns and cannot be interrupted, and a failed write is not reported.
+
+    Args:
+        blueprint: layout of the views.
+    """
+    if blueprint is not None:
+        rec.send_blueprint(blueprint, make_active=False, make_default=True)
+    return rec.memory_recording().drain_as_bytes()
+
+
 def write_stream(rec: rr.RecordingStream, path: str | Path, blueprint: Any = None) -> Path:
     """Write everything that was logged to a stream of :func:`new_stream`; more can be logged later.
 
@@ -54,8 +68,7 @@ def write_stream(rec: rr.RecordingStream, path: str | Path, blueprint: Any = Non
     try:
         with tempfile.TemporaryDirectory() as folder:
             kept = Path(folder) / "stream.rrd"
-            rec.save(kept)
-            rec.flush()
+            kept.write_bytes(drain(rec))
             rec.disconnect()
             chunks = RrdReader(kept).stream().to_chunks()
         # Saving emptied the stream. What it held is logged again, for the next call.
@@ -71,10 +84,9 @@ def write_chunks(path: Path, name: str, chunks: Sequence[Any], blueprint: Any = 
     with atomic_write(path) as temporary:
         out = new_stream(name)
         try:
-            out.save(temporary, default_blueprint=blueprint)
             out.send_recording_name(name)
             out.send_chunks(chunks)
-            out.flush()
+            temporary.write_bytes(drain(out, blueprint))
         finally:
             out.disconnect()
 

@@ -4,7 +4,6 @@ interface only."""
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+from .._utils import tether
 from ..errors import SfmError
 from .read import read_recording
 
@@ -34,10 +34,10 @@ class Server:
     url: str
     web_port: int
     data_port: int
-    process: subprocess.Popen
+    process: tether.Tethered
 
     def wait(self) -> None:
-        """Until the process ends or is interrupted."""
+        """Wait until the process ends or is interrupted."""
         self.process.wait()
 
 
@@ -53,19 +53,24 @@ def open_window(path: str | Path) -> None:
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
         raise ViewerError(
-            f"there is no display to open a window on; `sfmkit view --web {path}` serves it to a browser"
+            f"there is no display to open a window on; `sfmkit view --web {path}` serves it to a "
+            "browser"
         )
-    status = subprocess.call([*_COMMAND, "--port", "auto", str(path)])
+    process = tether.start([*_COMMAND, "--port", "auto", str(path)], session=True)
+    try:
+        status = process.wait()
+    finally:
+        process.end()
     if status:
         raise ViewerError(
-            f"the viewer ended with status {status}; `sfmkit view --web {path}` serves it to a browser"
+            f"the viewer ended with status {status}; `sfmkit view --web {path}` serves it to a "
+            "browser"
         )
 
 
 @contextmanager
 def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
-    """Serve a recording and the viewer's page on free ports of this machine until the block is
-    left.
+    """Serve a recording and the viewer's page on free ports until the block is left.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -73,11 +78,12 @@ def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
     """
     read_recording(path)
     web, data = free_ports(2)
-    process = subprocess.Popen(
+    process = tether.start(
         [*_COMMAND, "--serve-web", "--web-viewer-port", str(web), "--port", str(data), str(path)],
+        session=True,
+        stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
     )
     try:
         deadline = time.monotonic() + timeout_s
@@ -88,24 +94,7 @@ def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
         source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         yield Server(f"http://{HOST}:{web}/?url={source}", web, data, process)
     finally:
-        end(process)
-
-
-def end(process: subprocess.Popen) -> None:
-    """End the viewer and the interpreter that started it, and wait until both are gone."""
-    if os.name != "posix":
-        process.terminate()
-        process.wait()
-        return
-    for signal_, patience in ((signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0)):
-        deadline = time.monotonic() + patience
-        while time.monotonic() < deadline:
-            try:
-                os.killpg(process.pid, signal_)
-            except (ProcessLookupError, PermissionError):  # nobody is left
-                return
-            process.poll()
-            time.sleep(0.02)
+        process.end()
 
 
 def free_ports(n: int) -> list[int]:

@@ -3,7 +3,6 @@ served from here."""
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -18,11 +17,18 @@ def started(monkeypatch):
     """What would have been started."""
     calls = []
 
-    def run(command, env, check):
-        calls.append((command, env))
-        return subprocess.CompletedProcess(command, 0)
+    class Ended:
+        def wait(self):
+            return 0
 
-    monkeypatch.setattr(lab.subprocess, "run", run)
+        def end(self):
+            pass
+
+    def start(command, env):
+        calls.append((command, env))
+        return Ended()
+
+    monkeypatch.setattr(lab.tether, "start", start)
     return calls
 
 

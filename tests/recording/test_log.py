@@ -468,7 +468,7 @@ def test_a_failed_write_leaves_nothing_and_keeps_what_was_there(tmp_path, monkey
         raise RuntimeError("no more")
 
     monkeypatch.setattr(recordings, "log_account", fail)
-    with pytest.raises(OutputError, match="no more"):
+    with pytest.raises(RuntimeError, match="no more"):
         recordings.save_recording(path, RESULT)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     assert path.read_bytes() == b"before"
@@ -477,6 +477,7 @@ def test_a_failed_write_leaves_nothing_and_keeps_what_was_there(tmp_path, monkey
 
 
 def test_a_viewer_that_is_closed_meanwhile_does_not_stop_the_logging():
+    from sfmkit._utils import tether
     from sfmkit.recording.viewer import free_ports, listens
 
     (port,) = free_ports(1)
@@ -490,8 +491,8 @@ def test_a_viewer_that_is_closed_meanwhile_does_not_stop_the_logging():
         "--port",
         str(port),
     ]
-    server = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    server = tether.start(
+        command, session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     rec = rr.RecordingStream("sfmkit", recording_id="live", send_properties=False)
     try:
@@ -501,9 +502,7 @@ def test_a_viewer_that_is_closed_meanwhile_does_not_stop_the_logging():
         rec.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
         log_photographs(rec, *RESULT.images, (RESULT.two_view.camera1, RESULT.two_view.camera2))
     finally:
-        from sfmkit.recording.viewer import end
-
-        end(server)
+        server.end()
     began = time.monotonic()
     recordings.log_reconstruction(rec, RESULT)
     assert time.monotonic() - began < 20

@@ -17,16 +17,16 @@ import rerun as rr
 import rerun.blueprint as rrb
 import torch
 
+from ..._utils.labels import label
 from ..._utils.progress import Progress, silent
 from ..._utils.writing import atomic_write
-from ...errors import OutputError
 from ...geometry.homography import transfer
 from ...io.images import Image
 from ...pipeline.reconstruction import Reconstruction
 from ...pipeline.registration import Registration
 from ...recording import marks
 from ...recording.log import log_legend, log_run
-from ...recording.stream import GREY, MAGENTA, put, strokes
+from ...recording.stream import GREY, MAGENTA, drain, new_stream, put, strokes
 from .worst import Case, Rerun, describe, run_again
 
 MAX_LINES = 80  # of an operator, spread evenly over image 1
@@ -51,11 +51,8 @@ def save_worst(
         OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary:
-        rec = rr.RecordingStream("sfmkit", recording_id=Path(path).stem, send_properties=False)
-        rec.set_log_time_enabled(False)
-        rec.set_log_tick_enabled(False)
+        rec = new_stream(label(Path(path).stem))
         try:
-            rec.save(temporary)
             rec.send_recording_name(f"the {len(cases)} worst cases")
             pages = [
                 _log_case(rec, case, number, say) for number, case in enumerate(cases, start=1)
@@ -68,9 +65,7 @@ def save_worst(
                     rrb.SelectionPanel(state="collapsed"),
                 )
             )
-            rec.flush()
-        except (RuntimeError, ValueError) as error:
-            raise OutputError(f"{path} cannot be written: {error}") from error
+            temporary.write_bytes(drain(rec))
         finally:
             rec.disconnect()
 

@@ -1,0 +1,123 @@
+"""Child processes that end with their parent, however the parent ends.
+
+The child is started by a small guard process, which is this file run as a script. The guard holds
+one end of a pipe whose other end belongs to the parent. When the parent is gone, even by SIGKILL,
+the system closes that end, and the guard ends the child: SIGTERM first, SIGKILL after some seconds.
+On Linux the child is also tied to the guard, in case the guard itself is killed.
+
+Only the standard library is imported here, so that the guard starts at once.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+__all__ = ["Tethered", "start"]
+
+_PATIENCE_S = 10.0  # JupyterLab needs some seconds to end its kernels
+_PR_SET_PDEATHSIG = 1  # of Linux' prctl
+
+
+class Tethered:
+    """A child process that ends with this process.
+
+    Attributes:
+        process: the guard; its exit status is the child's.
+    """
+
+    def __init__(self, process: subprocess.Popen, pipe: int | None) -> None:
+        self.process = process
+        self._pipe = pipe
+
+    def poll(self) -> int | None:
+        """The child's exit status, or None while it runs."""
+        return self.process.poll()
+
+    def wait(self) -> int:
+        """Wait until the child ends, and return its exit status."""
+        return self.process.wait()
+
+    def end(self) -> None:
+        """End the child, and wait until it is gone."""
+        if self._pipe is not None:
+            os.close(self._pipe)
+            self._pipe = None
+        elif os.name != "posix":
+            self.process.terminate()
+        self.process.wait()
+
+
+def start(
+    command: Sequence[str],
+    env: Mapping[str, str] | None = None,
+    *,
+    session: bool = False,
+    **streams: Any,
+) -> Tethered:
+    """Start a command that ends with this process.
+
+    Args:
+        session: run it in a session of its own: the children of the child are ended with it, and
+            Ctrl-C does not reach them. Otherwise the child shares the terminal.
+        env: environment; None for this process's own.
+        streams: ``stdin``, ``stdout``, ``stderr`` as for :class:`subprocess.Popen`.
+    """
+    if os.name != "posix":
+        return Tethered(subprocess.Popen(command, env=env, **streams), None)
+    theirs, ours = os.pipe()
+    try:
+        guard = [sys.executable, "-I", "-S", __file__, str(theirs), str(int(session)), *command]
+        process = subprocess.Popen(guard, env=env, pass_fds=(theirs,), **streams)
+    except BaseException:
+        os.close(ours)
+        raise
+    finally:
+        os.close(theirs)
+    return Tethered(process, ours)
+
+
+def _guard(pipe: int, session: bool, command: Sequence[str]) -> int:
+    """Run `command` until it ends or the other end of the pipe is closed."""
+    # Signals of the terminal are for the child and for the parent, which then closes the pipe. The
+    # child inherits that SIGHUP is ignored: it is ended in order instead.
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    child = subprocess.Popen(command, preexec_fn=_prepare_child, start_new_session=session)
+    while child.poll() is None:
+        ready, _, _ = select.select([pipe], [], [], 0.05)
+        if ready and not os.read(pipe, 1):
+            _end(child, session)
+    return child.returncode if child.returncode >= 0 else 128 - child.returncode
+
+
+def _prepare_child() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if sys.platform.startswith("linux"):
+        import ctypes
+
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _end(child: subprocess.Popen, session: bool) -> None:
+    send = (lambda number: os.killpg(child.pid, number)) if session else child.send_signal
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        deadline = time.monotonic() + _PATIENCE_S
+        with suppress(ProcessLookupError, PermissionError):  # all are gone
+            send(number)
+            while time.monotonic() < deadline and (child.poll() is None or session):
+                send(0)  # in a session, until its last process is gone
+                time.sleep(0.02)
+
+
+if __name__ == "__main__":
+    sys.exit(_guard(int(sys.argv[1]), sys.argv[2] == "1", sys.argv[3:]))
