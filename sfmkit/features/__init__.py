@@ -1,5 +1,6 @@
 """Stage 1, image -> Features: detectors and descriptors behind one call."""
 
+from .lafs import keypoints_from_lafs, lafs_from_features
 from .operators import OperatorInfo, available, detect, list_operators
 from .plugins import OPERATOR_PLUGINS, Operator, register_operator, run_operator
 from .selection import select_evenly
@@ -26,6 +27,8 @@ __all__ = [
     "available",
     "detect",
     "find_spec",
+    "keypoints_from_lafs",
+    "lafs_from_features",
     "list_operators",
     "register_operator",
     "run_operator",

@@ -6,6 +6,7 @@ computes correctly; ``docs/kornia.md`` lists function by function who computes, 
 """
 
 from .bundle import TwoViewBundle, bundle_adjust
+from .camera import camera_from_pinhole, pinhole_from_camera
 from .coordinates import (
     denormalize,
     from_homogeneous,
@@ -52,8 +53,10 @@ from .pose import (
     cheirality,
     choose_pose,
     pose_auc,
+    pose_from_se3,
     relative_pose,
     rotation_error,
+    se3_from_pose,
     translation_error,
 )
 from .refinement import EssentialRefinement, refine_essential
@@ -78,6 +81,7 @@ __all__ = [
     "TwoViewBundle",
     "Uncertainty",
     "bundle_adjust",
+    "camera_from_pinhole",
     "check_pose",
     "cheirality",
     "choose_pose",
@@ -112,7 +116,9 @@ __all__ = [
     "marginal_weight",
     "normalize",
     "parallax",
+    "pinhole_from_camera",
     "pose_auc",
+    "pose_from_se3",
     "pose_sensitivity",
     "project",
     "project_to_essential",
@@ -122,6 +128,7 @@ __all__ = [
     "reprojection_error",
     "reprojection_residuals",
     "rotation_error",
+    "se3_from_pose",
     "sigma_degrees",
     "signed_sampson_distance",
     "so3_exp",
