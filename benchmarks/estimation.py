@@ -45,8 +45,8 @@ from sfmkit.geometry.coordinates import normalize
 from sfmkit.geometry.essential import decompose_essential
 from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from sfmkit.geometry.pose import pose_auc, rotation_error, translation_error
-from sfmkit.io.cameras import read_truth
 from sfmkit.io.images import read_image
+from sfmkit.io.truth import read_truth
 from sfmkit.matching.fusion import fuse
 from sfmkit.matching.nearest import match
 from sfmkit.types import Correspondences

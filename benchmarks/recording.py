@@ -16,8 +16,8 @@ from pathlib import Path
 
 from sfmkit import reconstruct
 from sfmkit.datasets.synthetic import demo_pair
-from sfmkit.io.cameras import parse_intrinsics
 from sfmkit.io.images import read_image
+from sfmkit.io.intrinsics import parse_intrinsics
 from sfmkit.recording.inspection import point_origin
 from sfmkit.recording.log import save_recording
 from sfmkit.recording.read import read_recording

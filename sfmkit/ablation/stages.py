@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..estimation import adjust, estimate_two_view
+from ..estimation import adjust, estimate_two_view, within_the_field
 from ..features import detect
 from ..io.images import Image, decode_image, read_image
 from ..matching import run_matcher
@@ -209,6 +209,7 @@ def _two_view(task: EstimateTask, fused: Correspondences, seed: int) -> dict[str
     if task.cameras is None:
         raise InputError("there is no camera for this pair")
     options = task.variant.options.estimate
+    fused = within_the_field(fused, *task.cameras)
     view = estimate_two_view(fused, *task.cameras, options, seed=seed)
     if options.refine:
         adjusted = adjust(fused, view)

@@ -115,7 +115,7 @@ def reconstruct(
     check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("start", "loading libraries")
-        from ..io.cameras import read_truth
+        from ..io.truth import read_truth
         from ..options import PRESETS
         from ..pipeline.reconstruction import reconstruct as run
         from ..reports.outputs import write_outputs

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
-from ..io.cameras import parse_intrinsics
 from ..io.images import read_image
+from ..io.intrinsics import parse_intrinsics
 from ..types import Camera
 from .pair import Pair
 from .synthetic import demo_pair

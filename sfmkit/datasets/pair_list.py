@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..io.cameras import parse_intrinsics
+from ..io.intrinsics import parse_intrinsics
 from ..types import Camera
 from .pair import KINDS, Pair, image_size
 

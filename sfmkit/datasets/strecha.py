@@ -13,7 +13,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ..errors import InputError
-from ..io.cameras import parse_intrinsics, read_truth
+from ..io.intrinsics import parse_intrinsics
+from ..io.truth import read_truth
 from ..types import Camera
 from .pair import Pair, choose_sequences, data_root, image_files, image_size, neighbours
 

@@ -4,7 +4,7 @@ they mean."""
 from .adjust import Adjustment, adjust
 from .plugins import ESTIMATOR_PLUGINS, Estimator, register_estimator, run_estimator
 from .result import RobustModel
-from .two_view import estimate_two_view, undistorted_pixels
+from .two_view import estimate_two_view, undistorted_pixels, within_the_field
 
 __all__ = [
     "ESTIMATOR_PLUGINS",
@@ -16,4 +16,5 @@ __all__ = [
     "register_estimator",
     "run_estimator",
     "undistorted_pixels",
+    "within_the_field",
 ]

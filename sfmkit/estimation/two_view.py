@@ -3,6 +3,7 @@ scene shows."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -44,6 +45,27 @@ def undistorted_pixels(
     return tuple(
         undistort_pixels(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2))
     )  # type: ignore[return-value]
+
+
+def within_the_field(corr: Correspondences, camera1: Camera, camera2: Camera) -> Correspondences:
+    """Drop the correspondences outside the field that a camera's distortion describes.
+
+    A distortion polynomial folds the image back beyond some radius; a point beyond it belongs to no
+    ray. A warning counts the dropped ones.
+    """
+    valid = torch.ones(len(corr), dtype=torch.bool)
+    for x, camera in ((corr.x1, camera1), (corr.x2, camera2)):
+        valid &= undistort_pixels(x, camera, return_valid=True)[1]
+    dropped = len(corr) - int(valid.sum())
+    if not dropped:
+        return corr
+    warnings.warn(
+        f"{dropped} of {len(corr)} correspondences lie outside the field that the distortion of "
+        "the camera describes and were dropped; if they are many, check the distortion and its "
+        "order (k1, k2, p1, p2, k3)",
+        stacklevel=2,
+    )
+    return corr.take(valid)
 
 
 def estimate_two_view(

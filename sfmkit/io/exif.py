@@ -16,6 +16,7 @@ _FOCAL_MM, _FOCAL_35MM, _DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
 _PLANE_X, _PLANE_Y, _PLANE_UNIT = 0xA20E, 0xA20F, 0xA210
 _SIZE_X, _SIZE_Y = 0xA002, 0xA003
 _UNIT_MM = {3: 10.0, 4: 1.0, 5: 0.001}  # every other value of the unit tag means inches
+_MAX_SIDE = 1_000_000  # pixels; a larger size is a damaged tag
 _XMP_BYTES = 1_000_000  # of an XMP packet that are searched; real packets have some kilobytes
 
 
@@ -73,6 +74,8 @@ def read_exif(picture: PIL.Image.Image) -> Exif | None:
     unit_mm = _UNIT_MM.get(int(_positive(tags, _PLANE_UNIT, 2)), 25.4)
     resolution = _pair(_positive(tags, _PLANE_X), _positive(tags, _PLANE_Y))
     size = _pair(_positive(tags, _SIZE_X), _positive(tags, _SIZE_Y))
+    if size and max(size) > _MAX_SIDE:
+        size = None
     zoom = _positive(tags, _DIGITAL_ZOOM)
     gimbal = [_dji(xmp, f"Gimbal{axis}Degree") for axis in ("Yaw", "Pitch", "Roll")]
     calibrated = _dji(xmp, "CalibratedFocalLength")

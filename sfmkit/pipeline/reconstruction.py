@@ -21,14 +21,22 @@ from torch import Tensor
 from .._utils.labels import label
 from .._utils.progress import Progress
 from ..errors import CameraError, InputError, OperatorError
-from ..estimation import Adjustment, adjust, estimate_two_view, undistorted_pixels
+from ..estimation import (
+    Adjustment,
+    adjust,
+    estimate_two_view,
+    undistorted_pixels,
+    within_the_field,
+)
 from ..features import detect
 from ..geometry.coordinates import normalize
 from ..geometry.pose import rotation_error, translation_error
 from ..geometry.reprojection import project
 from ..geometry.triangulation import parallax, triangulate
-from ..io.cameras import camera_from_exif, parse_intrinsics
+from ..io.calibration import Calibration
+from ..io.cameras import camera_from_exif
 from ..io.images import Image, read_image
+from ..io.intrinsics import fit_intrinsics, parse_intrinsics
 from ..matching.fusion import fuse
 from ..matching.plugins import run_matcher
 from ..options import DEFAULT, DetectOptions, MatchOptions, Options, TriangulateOptions
@@ -125,7 +133,7 @@ def reconstruct(
     Args:
         image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
         camera: intrinsics of image 1, and of image 2 unless `camera2` is given: a :class:`Camera`,
-            a (3, 3) K, or what :func:`sfmkit.io.cameras.parse_intrinsics` takes (a file,
+            a (3, 3) K, or what :func:`sfmkit.io.intrinsics.parse_intrinsics` takes (a file,
             ``fx,fy,cx,cy``); None reads them from EXIF.
         operators: names of operators (see ``sfmkit operators``), or ``detector+descriptor``.
         options: :data:`sfmkit.options.DEFAULT` or :data:`sfmkit.options.PAPER`, or your own.
@@ -156,6 +164,7 @@ def reconstruct(
                 {name: (*features[name], matches[name]) for name in features},
                 merge_radius=options.fuse.merge_radius,
             )
+            corr = within_the_field(corr, *cameras)
         with watch.stage("estimate", "epipolar geometry and pose"):
             two_view = estimate_two_view(
                 corr, *cameras, options.estimate, seed=seed, device=options.device
@@ -213,9 +222,10 @@ def _camera(camera: CameraLike | None, image: Image) -> Camera:
         return camera_from_exif(image)
     if isinstance(camera, Camera):
         return camera
+    orientation = image.exif.orientation if image.exif else 1
     if isinstance(camera, np.ndarray):
-        return Camera(camera, image.size_wh)
-    return parse_intrinsics(camera, image.size_wh)
+        return fit_intrinsics(Calibration(camera), image.size_wh, orientation=orientation)
+    return parse_intrinsics(camera, image.size_wh, orientation=orientation)
 
 
 def _same_lens(camera: Camera, image: Image) -> Camera:

@@ -13,8 +13,9 @@ from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import CameraError, InputError, OperatorError
 from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from sfmkit.geometry.pose import rotation_error, translation_error
-from sfmkit.io.cameras import parse_intrinsics, read_truth
 from sfmkit.io.images import read_image
+from sfmkit.io.intrinsics import parse_intrinsics
+from sfmkit.io.truth import read_truth
 from sfmkit.options import DEFAULT, PAPER
 from sfmkit.types import Camera, Verdict
 
