@@ -1,18 +1,19 @@
-"""Two-view geometry side by side: triangulation and cheirality against OpenCV and kornia, and the
-cost from 1k to 1M points.
+"""Two-view geometry beside kornia and OpenCV: time, accuracy, and cost from 1k to 1M points.
 
     python benchmarks/geometry.py [--threads 2] [--runs 15] [--largest 1000000]
+    python benchmarks/geometry.py --peers
 
 Prints, as Markdown:
 
-* 30,000 matches, float64: triangulation against ``cv2.triangulatePoints`` and
-  ``kornia.geometry.triangulate_points``; the choice among four poses against ``cv2.recoverPose``;
+* functions beside kornia and OpenCV: time as a multiple of sfmkit's, the figures of docs/kornia.md;
+* accuracy of the solvers on exact matches, beside kornia;
+* 30,000 matches, float64: triangulation and the choice among four poses;
 * time per point and peak memory of triangulation, residuals and one step of bundle adjustment as N
   grows tenfold.
 
-Times are medians, the competitors taking turns in one process: wall-clock time beside peers,
-processor time (all threads) for the growth, which other work on the machine disturbs less. Memory
-is the growth of the resident set of a fresh child process over its inputs.
+``--peers`` prints the first two. Times are medians of processor time (all threads), the competitors
+alternating in one process; compare ratios within one run only. Memory is the growth of the resident
+set of a fresh child process over its inputs.
 """
 
 from __future__ import annotations
@@ -28,15 +29,21 @@ import cv2
 import kornia
 import numpy as np
 import torch
+from kornia.geometry import conversions, epipolar, homography
 from torch import Tensor
 
-from sfmkit.geometry.bundle import bundle_adjust
-from sfmkit.geometry.coordinates import normalize
-from sfmkit.geometry.lie import hat, so3_exp
-from sfmkit.geometry.pose import choose_pose
-from sfmkit.geometry.reprojection import project, reprojection_residuals
-from sfmkit.geometry.triangulation import triangulate
-from sfmkit.geometry.uncertainty import covariance
+import sfmkit.geometry as sg
+from sfmkit.geometry import (
+    bundle_adjust,
+    choose_pose,
+    covariance,
+    hat,
+    normalize,
+    project,
+    reprojection_residuals,
+    so3_exp,
+    triangulate,
+)
 
 D = torch.float64
 Call = Callable[[], object]
@@ -49,17 +56,26 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=15)
     parser.add_argument("--largest", type=int, default=1_000_000)
+    parser.add_argument("--peers", action="store_true", help="only time and accuracy beside peers")
     args = parser.parse_args()
+    if args.peers:
+        torch.set_num_threads(args.threads)
+        cv2.setNumThreads(args.threads)
+        function_times(args.runs)
+        solver_accuracy()
+        return
     sizes = [n for n in (1_000, 10_000, 100_000, 1_000_000) if n <= args.largest]
-    memory = {n: peak_memory(n) for n in sizes}  # first: a child must be made before any thread
+    memory = {n: peak_memory(n) for n in sizes}  # first: a child must be forked before any thread
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(args.threads)
+    function_times(args.runs)
+    solver_accuracy()
     against_peers(args.runs)
     growth(sizes, memory, args.runs)
 
 
 def scene(n: int, noise: float = 0.5) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Pixels in both images, K, R, t and nothing hidden: points in a box before two cameras."""
+    """Pixels in both images, K, R and t of points in a box in front of two cameras."""
     g = torch.Generator().manual_seed(0)
     X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor(
         [-2.0, -1.5, 4.0]
@@ -74,6 +90,139 @@ def scene(n: int, noise: float = 0.5) -> tuple[Tensor, Tensor, Tensor, Tensor, T
         for x in (project(X, K), project(X, K, R, t))
     )
     return x1, x2, K, R, t / t.norm()
+
+
+def function_times(runs: int) -> None:
+    """Print the processor time of kornia and OpenCV over that of sfmkit, per function."""
+    x1, x2, K, R, t = scene(20_000)
+    xn1, xn2 = normalize(x1, K), normalize(x2, K)
+    E, F = sg.essential_from_pose(R, t), sg.fundamental_from_pose(R, t, K, K)
+    H, M = sg.homography_dlt(x1, x2), E.expand(1000, 3, 3).contiguous()
+    five = [x[:5000].reshape(1000, 5, 2) for x in (xn1, xn2)]
+    seven = [x[:7000].reshape(1000, 7, 2) for x in (x1, x2)]
+    four = [x[:4000].reshape(1000, 4, 2) for x in (x1, x2)]
+    a1, a2, b1, b2 = x1[None], x2[None], x1.numpy(), x2.numpy()
+    w, rotations = torch.randn(1000, 3, dtype=D), so3_exp(torch.randn(1000, 3, dtype=D))
+    K1 = K[None]
+    kornias: dict[str, tuple[Call, Call, Call | None]] = {
+        "essential_5point, 1000": (
+            lambda: sg.essential_5point(*five),
+            lambda: epipolar.find_essential(*five),
+            None,
+        ),
+        "fundamental_7point, 1000": (
+            lambda: sg.fundamental_7point(*seven),
+            lambda: epipolar.find_fundamental(*seven, method="7POINT"),
+            None,
+        ),
+        "fundamental_8point, 20,000 matches": (
+            lambda: sg.fundamental_8point(x1, x2),
+            lambda: epipolar.find_fundamental(a1, a2),
+            lambda: cv2.findFundamentalMat(b1, b2, cv2.FM_8POINT),
+        ),
+        "homography_dlt, 20,000 matches": (
+            lambda: sg.homography_dlt(x1, x2),
+            lambda: homography.find_homography_dlt(a1, a2),
+            lambda: cv2.findHomography(b1, b2, 0),
+        ),
+        "homography_4point, 1000": (
+            lambda: sg.homography_4point(*four),
+            lambda: kornia.geometry.get_perspective_transform(*four),
+            None,
+        ),
+        "epipolar_lines, 20,000": (
+            lambda: sg.epipolar_lines(F, x1),
+            lambda: epipolar.compute_correspond_epilines(x1, F),
+            lambda: cv2.computeCorrespondEpilines(b1[:, None], 1, F.numpy()),
+        ),
+        "signed_sampson_distance, 20,000": (
+            lambda: sg.signed_sampson_distance(F, x1, x2),
+            lambda: epipolar.sampson_epipolar_distance(x1, x2, F),
+            None,
+        ),
+        "squared_transfer_error, 20,000": (
+            lambda: sg.squared_transfer_error(H, x1, x2),
+            lambda: homography.oneway_transfer_error(a1, a2, H[None]),
+            None,
+        ),
+        "decompose_essential, 1000": (
+            lambda: sg.decompose_essential(M),
+            lambda: epipolar.motion_from_essential(M),
+            None,
+        ),
+        "decompose and choose, 20,000": (
+            lambda: choose_pose(*sg.decompose_essential(E), xn1, xn2),
+            lambda: epipolar.motion_from_essential_choose_solution(E[None], K1, K1, a1, a2),
+            lambda: cv2.recoverPose(E.numpy(), b1, b2, K.numpy()),
+        ),
+        "so3_exp, 1000": (
+            lambda: so3_exp(w),
+            lambda: conversions.axis_angle_to_rotation_matrix(w),
+            None,
+        ),
+        "so3_log, 1000": (
+            lambda: sg.so3_log(rotations),
+            lambda: conversions.rotation_matrix_to_axis_angle(rotations),
+            None,
+        ),
+    }
+    rows = []
+    for name, calls in kornias.items():
+        named = {k: c for k, c in zip(("sfmkit", "kornia", "cv2"), calls) if c is not None}
+        times = medians(named, runs, time.process_time)
+        ratios = [
+            f"{times[k] / times['sfmkit']:.2f}" if k in times else "" for k in ("kornia", "cv2")
+        ]
+        rows.append((name, f"{1e3 * times['sfmkit']:.2f}", *ratios))
+    print("\nprocessor time beside kornia and OpenCV\n")
+    table(("", "sfmkit, ms", "kornia / sfmkit", "cv2 / sfmkit"), rows)
+
+
+def solver_accuracy(n: int = 20_000) -> None:
+    """Print how often, and by how much, solvers miss the truth on exact matches."""
+    rows = []
+    for motion in ("sideways", "forward"):
+        x1, x2, E = exact_samples(n, 7, forward=motion == "forward")
+        five = zip(x1[:, :5].split(2000), x2[:, :5].split(2000))
+        parts = [(sg.essential_5point(a, b)[0], epipolar.find_essential(a, b)) for a, b in five]
+        solved = [torch.cat(p) for p in zip(*parts)]
+        seven = sg.fundamental_7point(x1, x2)[0], epipolar.find_fundamental(x1, x2, method="7POINT")
+        for name, (ours, theirs) in (("5 points", solved), ("7 points", seven)):
+            missed = (float((distances(C, E) > 1e-6).double().mean()) for C in (ours, theirs))
+            rows.append(
+                (f"{name}, {motion}: missed by > 1e-6", *(f"{100 * m:.3f} %" for m in missed))
+            )
+    for flat in (1.0, 1e-2, 1e-4):
+        x1, x2, E = exact_samples(500, 20, flat=flat)
+        fits = sg.fundamental_8point(x1, x2), epipolar.find_fundamental(x1, x2)
+        errors = (float(distances(F[:, None], E).median()) for F in fits)
+        rows.append((f"8 points, depth x {flat:g}: median error", *(f"{e:.1e}" for e in errors)))
+    print("\naccuracy on exact matches\n")
+    table(("", "sfmkit", "kornia"), rows)
+
+
+def exact_samples(
+    n: int, size: int, forward: bool = False, flat: float = 1.0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Normalised matches (n, size, 2) of a box, `flat` times as deep, and their E of unit norm."""
+    g = torch.Generator().manual_seed(0)
+    X = torch.rand(n, size, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0 * flat])
+    X = X + torch.tensor([-2.0, -1.5, 4.0])
+    R = so3_exp(0.2 * torch.randn(n, 3, generator=g, dtype=D))
+    t = 0.1 * torch.randn(n, 3, generator=g, dtype=D)
+    t[:, 2 if forward else 0] += 1
+    Y = X @ R.mT + t[:, None]
+    E = sg.essential_from_pose(R, t)
+    E = E / E.flatten(1).norm(dim=1)[:, None, None]
+    return X[..., :2] / X[..., 2:], Y[..., :2] / Y[..., 2:], E
+
+
+def distances(candidates: Tensor, truth: Tensor) -> Tensor:
+    """(n,) distance of the nearest candidate (n, C, 3, 3) from the truth, both of unit norm."""
+    C = candidates.nan_to_num()
+    C = C / C.flatten(-2).norm(dim=-1)[..., None, None].clamp(min=1e-300)
+    apart = ((C - s * truth[:, None]).flatten(-2).norm(dim=-1) for s in (1, -1))
+    return torch.minimum(*apart).amin(-1)
 
 
 def against_peers(runs: int) -> None:
@@ -144,7 +293,7 @@ def growth(sizes: list[int], memory: dict[int, dict[str, float]], runs: int) -> 
 
 
 def peak_memory(n: int) -> dict[str, float]:
-    """Megabytes that each call takes at its peak beyond what its inputs do."""
+    """Megabytes that each call takes at its peak beyond its inputs."""
     return {
         name: in_child(n, name)
         for name in ("triangulate", "residuals", "bundle step", "covariance")
@@ -157,7 +306,7 @@ def in_child(n: int, name: str) -> float:
     def measure() -> None:
         torch.set_num_threads(1)
         work = workload(1_000)
-        work[name]()  # libraries and their pools are loaded
+        work[name]()  # loads libraries and starts their pools
         work = workload(n)
         before = resident()
         work[name]()
