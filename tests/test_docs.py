@@ -1,4 +1,4 @@
-"""The documentation's code runs."""
+"""The code, links and pictures of the documentation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page):
         exec(compile("\n" * line + block, page, "exec"), namespace)
 
 
-def test_the_readme_names_files_that_exist():
+def test_links_to_files_are_valid():
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"

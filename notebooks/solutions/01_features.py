@@ -7,7 +7,7 @@ from sfmkit.teaching import check
 
 def is_fast_corner(ring, centre, threshold):
     for on in (ring > centre + threshold, ring < centre - threshold):
-        around = np.concatenate([on, on[:8]])  # the ring has no ends
+        around = np.concatenate([on, on[:8]])  # pixel 15 is next to pixel 0
         if any(around[k : k + 9].all() for k in range(16)):
             return True
     return False

@@ -9,8 +9,8 @@ def line(F, x1):
     return F @ np.append(x1, 1)
 
 
-def distance(line, x):
-    return abs(line @ np.append(x, 1)) / np.hypot(line[0], line[1])
+def distance(l, x):
+    return abs(l @ np.append(x, 1)) / np.hypot(l[0], l[1])
 
 
 def essential(F, K1, K2):
@@ -21,4 +21,4 @@ def essential(F, K1, K2):
 check("04.1", line)
 check("04.2", distance)
 check("04.3", essential)
-check("04.4", 7)  # nine entries, less the scale, less det F = 0
+check("04.4", 7)  # nine entries, minus the scale, minus det F = 0

@@ -15,7 +15,7 @@ def depth_sigma(z, f, b, sigma):
 
 
 def midpoint(c1, d1, c2, d2):
-    # a d1 - b d2 = c2 - c1 in the least-squares sense: the segment between both ends is
+    # a d1 - b d2 = c2 - c1 in the least-squares sense: the shortest segment is
     # perpendicular to both rays
     (a, b), *_ = np.linalg.lstsq(np.column_stack([d1, -d2]), c2 - c1, rcond=None)
     return (c1 + a * d1 + c2 + b * d2) / 2

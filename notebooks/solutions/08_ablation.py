@@ -6,7 +6,7 @@ from sfmkit.teaching import check
 
 
 def auc(errors, threshold):
-    # a run with error e is below the curve from e to the threshold; an infinite one never is
+    # a run with the error e contributes from e to the threshold; an infinite error contributes 0
     return np.clip(1 - errors / threshold, 0, None).mean()
 
 
@@ -15,8 +15,8 @@ def standard_error(a, b):
 
 
 def shapley(v1, v2, v12):
-    first = (v1 - 0, v2 - 0)  # what each adds when it comes first
-    last = (v12 - v2, v12 - v1)  # and when it joins the other
+    first = (v1 - 0, v2 - 0)  # the gain if the operator is added first
+    last = (v12 - v2, v12 - v1)  # the gain if it is added last
     return np.add(first, last) / 2
 
 

@@ -1,4 +1,4 @@
-"""Exercises of the notebooks, and ``check()`` that grades them."""
+"""Exercises of the notebooks and the function ``check`` that grades answers."""
 
 from .checking import check
 

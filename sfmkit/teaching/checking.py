@@ -1,9 +1,8 @@
-"""``check("04.1", answer)``: tells a student whether an answer is right, and if it is not, what
-probably went wrong.
+"""Grade the answers to the exercises: ``check("04.1", answer)``.
 
-An exercise is a question, the right way to answer it, and the wrong ways that people take, each
-with its explanation. Answers are values or functions; a function is tried on the exercise's own
-inputs. Nothing is stored that is not computed.
+An exercise has a question, the correct answer and common mistakes with their explanations. Answers
+are values or functions; a function is tested on the inputs of the exercise. All answers are
+computed, none is stored.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from ..errors import InputError
 from .exercise import Exercise
 from .exercises import EXERCISES
 
-ROUNDED = 0.01  # an answer this near, relatively, was meant to be the value
-WIDTH = 96  # characters: a cell of a notebook breaks longer lines in the middle of words
+ROUNDED = 0.01  # relative difference up to which a value is regarded as rounded too early
+WIDTH = 96  # characters that fit into one line of a notebook cell
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Whether an answer is right, and what to tell whoever gave it."""
+    """The result of grading an answer, with the message to print."""
 
     right: bool
     message: str
@@ -34,15 +33,15 @@ class Judgement:
 
 
 def check(exercise: str, answer: Any) -> None:
-    """Judge the answer to an exercise and print what there is to say about it.
+    """Grade the answer to an exercise and print the result.
 
     Args:
-        exercise: its name, such as ``"04.1"``.
-        answer: a number, an array, a string, or a function where one is asked for; ``...`` (not
-            answered yet) prints the question.
+        exercise: the number of the exercise, for example ``"04.1"``.
+        answer: a number, array, string or function, depending on the exercise; ``...`` prints
+            the question.
 
     Raises:
-        InputError: no such exercise.
+        InputError: there is no such exercise.
     """
     judgement = judge(exercise, answer)
     sign = "✓ " if judgement.right else "✗ " if judgement.answered else "○ "
@@ -50,8 +49,10 @@ def check(exercise: str, answer: Any) -> None:
 
 
 def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None = None) -> Judgement:
-    """Judge without printing; `exercises` are :data:`sfmkit.teaching.exercises.EXERCISES` unless
-    given."""
+    """Grade an answer without printing.
+
+    `exercises` defaults to :data:`sfmkit.teaching.exercises.EXERCISES`.
+    """
     exercises = EXERCISES if exercises is None else exercises
     if exercise not in exercises:
         near = get_close_matches(str(exercise), exercises, n=1)
@@ -59,25 +60,28 @@ def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None =
         raise InputError(f"there is no exercise '{exercise}'.{hint} Known: {', '.join(exercises)}")
     task = exercises[exercise]
     if answer is ...:
-        return Judgement(False, f"{exercise} is not answered yet. {task.question}", answered=False)
+        return Judgement(
+            False, f"{exercise} has not been answered. {task.question}", answered=False
+        )
     return _judge_value(task, answer) if task.inputs is None else _judge_function(task, answer)
 
 
 def _judge_value(task: Exercise, answer: Any) -> Judgement:
     if callable(answer):
         return Judgement(
-            False, "A value is asked for here, not a function: call it and give what it returns."
+            False,
+            "This exercise expects a value, not a function. Call your function and pass its "
+            "result.",
         )
     if _same(answer, task.right(), task):
-        return Judgement(True, "Right.")
-    rounded = replace(
-        task, tolerance=max(task.tolerance, ROUNDED)
-    )  # what goes wrong is told of rounded numbers too
+        return Judgement(True, "Correct.")
+    # Mistakes are recognised in rounded numbers as well.
+    rounded = replace(task, tolerance=max(task.tolerance, ROUNDED))
     for mistake, why in task.wrong:
         if _same(answer, mistake(), rounded):
             return Judgement(False, why)
     if _same(answer, task.right(), rounded):
-        return Judgement(False, "Close, but not close enough: give more digits.")
+        return Judgement(False, "Close, but not precise enough. Give more digits.")
     return Judgement(False, _difference(answer, task.right(), task))
 
 
@@ -85,7 +89,7 @@ def _judge_function(task: Exercise, answer: Any) -> Judgement:
     assert task.inputs is not None
     if not callable(answer):
         return Judgement(
-            False, "A function is asked for here; give the function itself, without calling it."
+            False, "This exercise expects a function. Pass the function itself without calling it."
         )
     trials = task.inputs()
     answers = []
@@ -94,22 +98,21 @@ def _judge_function(task: Exercise, answer: Any) -> Judgement:
             answers.append(
                 answer(*(np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments))
             )
-        except (
-            Exception
-        ) as error:  # a student's function may raise anything, and that is worth an explanation too
+        except Exception as error:  # the function of a student can raise any exception
             shapes = ", ".join(str(np.shape(a)) for a in arguments)
             return Judgement(
                 False,
-                f"Your function raised {type(error).__name__}: {error}. Its arguments had the shapes {shapes}.",
+                f"Your function raised {type(error).__name__}: {error}. "
+                f"The shapes of its arguments were {shapes}.",
             )
     if all(a is None or a is ... for a in answers):
         return Judgement(
-            False, f"Your function returns nothing yet. {task.question}", answered=False
+            False, f"Your function does not return an answer yet. {task.question}", answered=False
         )
     expected = [task.right(*arguments) for arguments in trials]
     wrong = [k for k, (a, e) in enumerate(zip(answers, expected)) if not _same(a, e, task)]
     if not wrong:
-        return Judgement(True, f"Right, on all {len(trials)} inputs tried.")
+        return Judgement(True, f"Correct on all {len(trials)} inputs.")
     for mistake, why in task.wrong:
         if all(_same(a, mistake(*arguments), task) for a, arguments in zip(answers, trials)):
             return Judgement(False, why)
@@ -117,13 +120,13 @@ def _judge_function(task: Exercise, answer: Any) -> Judgement:
     share = (
         ""
         if len(wrong) == len(trials)
-        else f"Right for {len(trials) - len(wrong)} of {len(trials)} inputs. "
+        else f"Correct for {len(trials) - len(wrong)} of {len(trials)} inputs. "
     )
     return Judgement(False, share + _difference(answers[k], expected[k], task))
 
 
 def _array(value: Any) -> np.ndarray | None:
-    """The numbers of a value (torch tensors included), None where it has none."""
+    """Convert a value (also a torch tensor) to an array; None if that is not possible."""
     try:
         return np.asarray(value.detach() if hasattr(value, "detach") else value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -141,6 +144,8 @@ def _same(answer: Any, expected: Any, task: Exercise) -> bool:
         or not np.isfinite(a).all()
     ):
         return False
+    if task.period is not None:
+        a = e + (a.reshape(e.shape) - e + task.period / 2) % task.period - task.period / 2
     if task.up_to_scale:
         if not a.any():
             return False
@@ -153,23 +158,23 @@ def _same(answer: Any, expected: Any, task: Exercise) -> bool:
 
 
 def _difference(answer: Any, expected: Any, task: Exercise) -> str:
-    """What there is to say about a wrong answer without giving the right one away."""
+    """Describe a wrong answer without revealing the correct one."""
     if isinstance(expected, str):
-        return f"Not so. {task.question}"
+        return f"Not correct. {task.question}"
     a, e = _array(answer), np.asarray(expected, dtype=np.float64)
     if answer is None:
-        return f"Your answer is None: was it computed? {task.question}"
+        return f"Your answer is None. {task.question}"
     if isinstance(answer, str):
-        return f"A number is asked for, without words or units. {task.question}"
+        return f"This exercise expects a number without words or units. {task.question}"
     if a is None:
-        return f"A number or an array is asked for, not {type(answer).__name__}."
+        return f"This exercise expects a number or an array, not {type(answer).__name__}."
     if np.squeeze(a).shape != np.squeeze(e).shape:
-        return f"The answer has the shape {e.shape}, yours has {a.shape}."
+        return f"The shape of the answer should be {e.shape}; yours is {a.shape}."
     if not np.isfinite(a).all():
-        return "Your answer holds NaN or infinite values: is something divided by zero?"
+        return "Your answer contains NaN or infinite values. Check for a division by zero."
     if e.size == 1 and not task.up_to_scale and np.abs(e).max() > 0:
         size = "small" if float(a.ravel()[0]) < float(e.ravel()[0]) else "large"
-        return f"Not right: your value is too {size}. {task.question}"
+        return f"Not correct: your value is too {size}. {task.question}"
     if not task.up_to_scale and np.allclose(
         -a, e, rtol=0, atol=task.tolerance * max(np.abs(e).max(), 1e-12)
     ):
@@ -179,5 +184,5 @@ def _difference(answer: Any, expected: Any, task: Exercise) -> str:
         and a.shape == e.T.shape
         and _same(np.squeeze(a).T, np.squeeze(e), task)
     ):
-        return "Your matrix is the transpose of the right one."
-    return f"Not right yet. {task.question}"
+        return "Your matrix is the transpose of the correct one."
+    return f"Not correct. {task.question}"

@@ -1,4 +1,4 @@
-"""What an exercise is: a question, the right answer, and the wrong ones with their explanations."""
+"""The type of an exercise: a question, the correct answer, and common wrong answers."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ class Exercise:
     """One exercise.
 
     Attributes:
-        question: what is asked, in one or two sentences.
-        right: computes the answer; of the inputs for a function exercise, of nothing for a value.
-        wrong: what people do instead, with what to tell them; same arguments as `right`.
-        inputs: argument tuples that an answer is tried on, None where the answer is a value.
-        up_to_scale: answers that differ by a factor, sign included, are the same (homogeneous
+        question: one or two sentences; starts with the signature if a function is expected.
+        right: computes the correct answer, from the inputs if a function is expected.
+        wrong: common mistakes with their explanations; same arguments as `right`.
+        inputs: returns the argument tuples on which a function is tested; None for a value.
+        up_to_scale: whether answers that differ by a non-zero factor are equal (homogeneous
             quantities).
-        tolerance: relative to the largest entry of the right answer.
+        period: answers that differ by a multiple of it are equal (angles), or None.
+        tolerance: relative to the largest entry of the correct answer.
     """
 
     question: str
@@ -26,4 +27,5 @@ class Exercise:
     wrong: tuple[tuple[Callable[..., Any], str], ...] = ()
     inputs: Callable[[], tuple[tuple[Any, ...], ...]] | None = None
     up_to_scale: bool = False
+    period: float | None = None
     tolerance: float = 1e-3

@@ -1,5 +1,4 @@
-"""Exercises judge as a teacher would: right is right, known mistakes are explained, anything else
-is not passed."""
+"""Grading: correct answers pass, known mistakes are explained, other answers are rejected."""
 
 from __future__ import annotations
 
@@ -9,19 +8,23 @@ import torch
 
 from sfmkit.errors import InputError
 from sfmkit.geometry.essential import essential_from_pose
-from sfmkit.geometry.fundamental import epipolar_lines, fundamental_from_pose
+from sfmkit.geometry.fundamental import (
+    epipolar_lines,
+    fundamental_from_pose,
+    signed_sampson_distance,
+)
 from sfmkit.geometry.triangulation import triangulate
 from sfmkit.teaching.checking import check, judge
 from sfmkit.teaching.exercises import EXERCISES
 
 
 def answer(exercise, way):
-    """The answer that somebody who goes this way gives: a function, or a value."""
+    """The answer that this method gives: a function or a value."""
     return way if exercise.inputs is not None else way()
 
 
 @pytest.mark.parametrize("name", EXERCISES)
-def test_the_right_way_passes_and_the_first_wrong_way_that_fits_is_explained(name):
+def test_the_correct_answer_passes_and_known_mistakes_are_explained(name):
     exercise = EXERCISES[name]
     assert judge(name, answer(exercise, exercise.right)).right
     assert exercise.wrong
@@ -32,7 +35,7 @@ def test_the_right_way_passes_and_the_first_wrong_way_that_fits_is_explained(nam
 
 
 @pytest.mark.parametrize("name", EXERCISES)
-def test_nothing_else_passes(name):
+def test_other_answers_are_rejected(name):
     for nonsense in (
         ...,
         None,
@@ -47,25 +50,25 @@ def test_nothing_else_passes(name):
         assert judgement.message
 
 
-def test_an_open_exercise_prints_its_question(capsys):
+def test_an_unanswered_exercise_prints_its_question(capsys):
     check("04.4", ...)
     assert "degrees of freedom" in capsys.readouterr().out
 
 
-def test_a_function_that_raises_is_told_what_it_was_given():
+def test_an_exception_is_reported_with_the_shapes_of_the_arguments():
     judgement = judge("04.1", lambda F, x: F @ x)
     assert "raised ValueError" in judgement.message
     assert "(3, 3), (2,)" in judgement.message
 
 
-def test_answers_may_be_tensors_and_homogeneous_ones_have_no_scale():
+def test_tensors_are_accepted_and_homogeneous_answers_are_compared_up_to_scale():
     def line(F, x):
         return -7 * epipolar_lines(torch.as_tensor(F), torch.as_tensor(x)[None])[0]
 
     assert judge("04.1", line).right
 
 
-def test_a_function_that_is_right_for_some_inputs_is_told_so():
+def test_the_message_contains_the_number_of_correct_inputs():
     def sometimes(A, k):
         right = EXERCISES["01.2"].right(A, k)
         return right if right > 0 else right + 1
@@ -75,7 +78,7 @@ def test_a_function_that_is_right_for_some_inputs_is_told_so():
     assert f"{sum(signs)} of {len(signs)} inputs" in judge("01.2", sometimes).message
 
 
-def test_the_references_agree_with_the_library():
+def test_the_reference_answers_agree_with_the_library():
     R, t = (torch.as_tensor(a) for a in EXERCISES["05.1"].inputs()[0])
     for _, K1, K2 in EXERCISES["04.3"].inputs():
         F = fundamental_from_pose(R, t, torch.as_tensor(K1), torch.as_tensor(K2)).numpy()
@@ -96,6 +99,23 @@ def test_the_references_agree_with_the_library():
         np.testing.assert_allclose(EXERCISES["06.3"].right(c1, d1, c2, d2), X[0], rtol=1e-9)
 
 
-def test_an_unknown_exercise_is_bad_input():
+def test_an_unknown_exercise_raises_an_input_error():
     with pytest.raises(InputError, match=r"no exercise '04.11'.*Did you mean '04.1'"):
         check("04.11", 3)
+
+
+def test_an_orientation_may_differ_by_full_turns():
+    def plus_a_turn(patch):
+        return EXERCISES["01.4"].right(patch) + 2 * np.pi
+
+    def minus_half_a_turn(patch):
+        return EXERCISES["01.4"].right(patch) - np.pi
+
+    assert judge("01.4", plus_a_turn).right
+    assert not judge("01.4", minus_half_a_turn).right
+
+
+def test_the_sampson_exercise_agrees_with_the_library():
+    for F, x1, x2 in EXERCISES["10.4"].inputs():
+        expected = signed_sampson_distance(*map(torch.as_tensor, (F, x1[None], x2[None])))
+        assert EXERCISES["10.4"].right(F, x1, x2) == pytest.approx(abs(float(expected)), rel=1e-9)

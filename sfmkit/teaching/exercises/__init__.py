@@ -1,4 +1,4 @@
-"""The exercises of the notebooks, by notebook and number: see :mod:`sfmkit.teaching.checking`."""
+"""The exercises of the notebooks by number; :mod:`sfmkit.teaching.checking` grades them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from . import (
     motion,
     own_photographs,
     quick_start,
+    robust_estimation,
     triangulation,
 )
+
+__all__ = ["EXERCISES"]
 
 # in the order of the notebooks
 _NOTEBOOKS = (
@@ -28,6 +31,7 @@ _NOTEBOOKS = (
     differentiable_geometry,
     ablation,
     own_photographs,
+    robust_estimation,
 )
 
 EXERCISES: dict[str, Exercise] = {

@@ -1,4 +1,4 @@
-"""What the exercises are tried on: numbers from fixed seeds."""
+"""Inputs on which answers are tested: random numbers from fixed seeds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Inputs = Callable[[], tuple[tuple[Any, ...], ...]]
 
 
 def random_inputs(make: Callable[[np.random.Generator], tuple[Any, ...]], n: int = 4) -> Inputs:
-    """`n` inputs from a fixed seed."""
+    """Make `n` inputs from fixed seeds."""
     return lambda: tuple(make(np.random.default_rng(seed)) for seed in range(n))
 
 

@@ -16,30 +16,34 @@ EXERCISES: dict[str, Exercise] = {
         (
             (
                 lambda f, x, h: (f(x + h) - f(x)) / h,
-                "The one-sided quotient is off by h f''/2; take a step to both sides.",
+                "The one-sided quotient has an error of h f''/2. Take a step to both sides.",
             ),
-            (lambda f, x, h: (f(x + h) - f(x - h)) / h, "From x - h to x + h it is 2 h."),
+            (
+                lambda f, x, h: (f(x + h) - f(x - h)) / h,
+                "The distance between x - h and x + h is 2 h.",
+            ),
         ),
         lambda: tuple((f, x, 0.1) for f in (np.sin, np.exp) for x in (0.3, 1.1)),
         tolerance=1e-9,
     ),
     "07.2": Exercise(
-        "step(J, r): the step of Gauss-Newton from residuals r (N,) and their Jacobian J (N, P).",
+        "step(J, r): the Gauss-Newton step for residuals r (N,) with the Jacobian J (N, P).",
         lambda J, r: -np.linalg.solve(J.T @ J, J.T @ r),
         (
             (
                 lambda J, r: np.linalg.solve(J.T @ J, J.T @ r),
-                "Only the sign is wrong: the step goes downhill.",
+                "The sign is wrong: the step must decrease the cost.",
             ),
             (
                 lambda J, r: -J.T @ r,
-                "That is steepest descent; divide by the curvature, solve with J^T J.",
+                "This is the direction of steepest descent. Solve the system with J^T J instead.",
             ),
         ),
         _LINEAR,
     ),
     "07.3": Exercise(
-        "covariance(J, sigma): of the least-squares estimate, when each residual has the standard deviation sigma.",
+        "covariance_of(J, sigma): the covariance of a least-squares estimate with the Jacobian J "
+        "(N, P), if each residual has the standard deviation sigma.",
         lambda J, s: s**2 * np.linalg.inv(J.T @ J),
         (
             (
@@ -48,11 +52,11 @@ EXERCISES: dict[str, Exercise] = {
             ),
             (
                 lambda J, s: J.T @ J / s**2,
-                "That is the information matrix; the covariance is its inverse.",
+                "This is the information matrix. The covariance is its inverse.",
             ),
             (
                 lambda J, s: np.linalg.inv(J.T @ J),
-                "The noise is missing: twice the noise is four times the covariance.",
+                "The noise is missing: twice the noise gives four times the covariance.",
             ),
         ),
         random_inputs(lambda g: (g.normal(size=(20, 3)), g.uniform(0.2, 3))),

@@ -58,27 +58,30 @@ def _box(S: np.ndarray, x0: int, y0: int, x1: int, y1: int) -> float:
 
 EXERCISES: dict[str, Exercise] = {
     "01.1": Exercise(
-        "is_fast_corner(ring, centre, threshold): are 9 contiguous ones of the 16 ring pixels all brighter than centre + "
-        "threshold, or all darker than centre - threshold? The ring has no ends.",
+        "is_fast_corner(ring, centre, threshold): are 9 contiguous pixels of the 16 ring pixels "
+        "all "
+        "brighter than centre + threshold, or all darker than centre - threshold? Pixel 15 is next "
+        "to pixel 0.",
         _fast,
         (
             (
                 lambda ring, c, t: max((ring > c + t).sum(), (ring < c - t).sum()) >= 9,
-                "You count the pixels; the nine must also be neighbours of one another.",
+                "You count the pixels. The nine pixels must also be contiguous.",
             ),
             (
                 lambda ring, c, t: (
                     max(_longest_run(ring > c + t, False), _longest_run(ring < c - t, False)) >= 9
                 ),
-                "The ring has no ends: pixel 15 is a neighbour of pixel 0.",
+                "The ring is closed: pixel 15 is a neighbour of pixel 0.",
             ),
             (
                 lambda ring, c, t: _longest_run(ring > c + t) >= 9,
-                "A dark corner counts as well: also look for nine pixels darker than centre - threshold.",
+                "Dark corners count as well: also test for nine pixels darker than centre - "
+                "threshold.",
             ),
             (
                 lambda ring, c, t: _longest_run(np.abs(ring - c) > t) >= 9,
-                "All nine must differ in the same direction: brighter, or darker, not some of each.",
+                "All nine pixels must be brighter, or all nine must be darker; do not mix them.",
             ),
         ),
         _fast_inputs,
@@ -93,23 +96,25 @@ EXERCISES: dict[str, Exercise] = {
             ),
             (
                 lambda A, k: np.linalg.det(A) + k * np.trace(A) ** 2,
-                "The trace is subtracted: on an edge one eigenvalue is large and the response must be negative.",
+                "Subtract the trace term: on an edge, one eigenvalue is large and the response "
+                "must be "
+                "negative.",
             ),
         ),
         random_inputs(lambda g: ((B := g.normal(size=(2, 2)) * 3) @ B.T, 0.05)),
     ),
     "01.3": Exercise(
-        "box_sum(S, x0, y0, x1, y1): the sum of image[y0:y1, x0:x1] from four entries of the integral image S, where "
-        "S[y, x] = image[:y, :x].sum().",
+        "box_sum(S, x0, y0, x1, y1): the sum of image[y0:y1, x0:x1] from four entries of the "
+        "integral image S, where S[y, x] = image[:y, :x].sum().",
         _box,
         (
             (
                 lambda S, x0, y0, x1, y1: S[y1, x1] - S[y0, x1] - S[y1, x0],
-                "The corner (x0, y0) was taken away twice: add it once.",
+                "The region up to (x0, y0) is subtracted twice. Add it once.",
             ),
             (
                 lambda S, x0, y0, x1, y1: S[y1, x1] - S[y0, x0],
-                "Two entries leave two strips outside the box in the sum; four are needed.",
+                "With two entries, the sum contains two strips outside the box. Four are needed.",
             ),
         ),
         random_inputs(
@@ -123,20 +128,24 @@ EXERCISES: dict[str, Exercise] = {
         ),
     ),
     "01.4": Exercise(
-        "orientation(patch): the angle in radians from the middle of a square patch to its centroid of intensity, x to the "
-        "right, y down, measured from x towards y.",
+        "orientation(patch): the angle in radians of the direction from the centre of a square "
+        "patch "
+        "to its intensity centroid; x to the right, y down, measured from x towards y.",
         _orientation,
         (
             (
                 lambda p: np.pi / 2 - _orientation(p),
-                "The arguments of arctan2 are (y, x): the moment of y comes first.",
+                "The arguments of arctan2 are (y, x): the moment of y is the first argument.",
             ),
             (
                 lambda p: -_orientation(p),
-                "y points down in an image: the angle grows from x towards y, clockwise on the screen.",
+                "y points down in an image: the angle is measured from x towards y, clockwise on "
+                "the "
+                "screen.",
             ),
-            (lambda p: np.degrees(_orientation(p)), "Radians are asked for."),
+            (lambda p: np.degrees(_orientation(p)), "Return radians, not degrees."),
         ),
         random_inputs(lambda g: (g.random((7, 7)) * np.linspace(0.2, 2, 7),)),
+        period=2 * np.pi,
     ),
 }

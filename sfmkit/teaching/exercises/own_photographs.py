@@ -18,50 +18,56 @@ def _resized(K: np.ndarray, s: float, half: float = 0.5, focal: bool = True) -> 
 
 EXERCISES: dict[str, Exercise] = {
     "09.1": Exercise(
-        "focal_px(f35, w, h): the focal length in pixels of a w x h photograph whose EXIF says f35 mm (35 mm equivalent, "
-        "by the diagonal of the 36 x 24 mm frame).",
+        "focal_px(f35, w, h): the focal length in pixels of a w x h photograph with a 35 mm "
+        "equivalent of f35 mm in EXIF, defined by the diagonal of the 36 x 24 mm frame.",
         lambda f35, w, h: f35 / np.hypot(36, 24) * np.hypot(w, h),
         (
             (
                 lambda f35, w, h: f35 / 36 * w,
-                "That takes the equivalent by the frame's width; it is defined by the diagonal. For 3:2 it is the same, here not.",
+                "This uses the width of the frame, but the equivalent is defined by the diagonal. "
+                "The "
+                "results agree for an aspect ratio of 3:2 only.",
             ),
             (
                 lambda f35, w, h: f35 * np.hypot(36, 24) / np.hypot(w, h),
-                "Upside down: more pixels make a longer focal length in pixels.",
+                "This is inverted: with more pixels, the focal length in pixels is larger.",
             ),
         ),
         lambda: ((26.0, 4000, 3000), (50.0, 1920, 1080), (28.0, 3000, 4000)),
     ),
     "09.2": Exercise(
-        "resize(K, s): the intrinsics of the photograph resized by the factor s, where the centre of the top-left pixel is "
-        "(0, 0).",
+        "resize(K, s): the intrinsics of the photograph after resizing by the factor s; the centre "
+        "of the top-left pixel is (0, 0).",
         lambda K, s: _resized(K, s),
         (
             (
                 lambda K, s: _resized(K, s, half=0.0),
-                "The image's corner stays where it is, at (-½, -½), not the first pixel's centre: c' = (c + ½) s - ½.",
+                "The corner of the image, (-½, -½), keeps its position, not the centre of the "
+                "first "
+                "pixel: c' = (c + ½) s - ½.",
             ),
             (
                 lambda K, s: _resized(K, s, focal=False),
-                "The focal length is in pixels too, and scales with them.",
+                "The focal length is also in pixels, so it is scaled as well.",
             ),
-            (lambda K, s: K * s, "The last row stays (0, 0, 1)."),
+            (lambda K, s: K * s, "The last row remains (0, 0, 1)."),
         ),
         random_inputs(lambda g: (camera(g), g.choice([0.25, 0.5, 2.0]))),
         tolerance=1e-6,
     ),
     "09.3": Exercise(
-        "Which pair gives no cloud at all: 'a step to the side', 'a step forward' or 'turning on the spot'?",
+        "Which pair does not give a cloud: 'a step to the side', 'a step forward' or 'turning on "
+        "the "
+        "spot'?",
         lambda: "turning on the spot",
         (
             (
                 lambda: "a step to the side",
-                "That is the best pair there is: the parallax is large everywhere.",
+                "This is the best pair: the parallax is large everywhere.",
             ),
             (
                 lambda: "a step forward",
-                "Only what lies straight ahead, near the epipole, has no parallax then.",
+                "Only points near the epipole, in the direction of the motion, have no parallax.",
             ),
         ),
     ),

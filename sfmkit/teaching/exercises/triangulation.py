@@ -26,33 +26,35 @@ _STEREO = random_inputs(lambda g: (g.uniform(500, 2000), g.uniform(0.1, 2), g.un
 
 EXERCISES: dict[str, Exercise] = {
     "06.1": Exercise(
-        "depth(f, b, d): the depth of a point with a disparity of d pixels between two parallel cameras of focal length f "
-        "pixels that stand b metres apart.",
+        "depth(f, b, d): the depth of a point with a disparity of d pixels between two parallel "
+        "cameras with a focal length of f pixels and a distance of b metres.",
         lambda f, b, d: f * b / d,
         (
             (
                 lambda f, b, d: f * d / b,
-                "Near things move more: the disparity belongs below the line.",
+                "Near points have a larger disparity: divide by the disparity.",
             ),
             (
                 lambda f, b, d: b / d,
-                "Pixels are left over in the units: the focal length is missing.",
+                "The units do not agree: the focal length is missing.",
             ),
         ),
         _STEREO,
     ),
     "06.2": Exercise(
-        "depth_sigma(z, f, b, sigma): the standard deviation of the depth z, to first order, when the disparity has the "
-        "standard deviation sigma (pixels).",
+        "depth_sigma(z, f, b, sigma): the standard deviation of the depth z, to first order, if "
+        "the "
+        "disparity has the standard deviation sigma (pixels).",
         lambda z, f, b, s: z**2 / (f * b) * s,
         (
             (
                 lambda z, f, b, s: z / (f * b) * s,
-                "Derive z = f b / d by d and put d = f b / z back in: z appears squared.",
+                "Differentiate z = f b / d with respect to d and insert d = f b / z: z appears "
+                "squared.",
             ),
             (
                 lambda z, f, b, s: f * b / z**2 * s,
-                "Upside down: the error must grow with the depth.",
+                "This is inverted: the error must grow with the depth.",
             ),
         ),
         random_inputs(
@@ -60,16 +62,17 @@ EXERCISES: dict[str, Exercise] = {
         ),
     ),
     "06.3": Exercise(
-        "midpoint(c1, d1, c2, d2): the middle of the shortest segment between the rays c1 + a d1 and c2 + b d2.",
+        "midpoint(c1, d1, c2, d2): the midpoint of the shortest segment between the rays c1 + a d1 "
+        "and c2 + b d2.",
         _midpoint,
         (
             (
                 _nearest_on,
-                "That end of the segment lies on ray 1; the middle between both ends is asked for.",
+                "This end of the segment lies on ray 1. Return the midpoint of both ends.",
             ),
             (
                 lambda c1, d1, c2, d2: _nearest_on(c2, d2, c1, d1),
-                "That end lies on ray 2; the middle is asked for.",
+                "This end of the segment lies on ray 2. Return the midpoint of both ends.",
             ),
         ),
         random_inputs(
@@ -85,10 +88,10 @@ EXERCISES: dict[str, Exercise] = {
         "angle(a, b): the angle between two rays (any lengths), in degrees.",
         lambda a, b: np.degrees(_angle(a, b)),
         (
-            (_angle, "That is in radians; np.degrees converts it."),
+            (_angle, "This is in radians; np.degrees converts it."),
             (
                 lambda a, b: np.degrees(np.arccos(np.clip(a @ b, -1, 1))),
-                "The rays need not have unit length.",
+                "The rays do not have unit length. Normalise them.",
             ),
         ),
         random_inputs(lambda g: tuple(g.normal(size=(2, 3)) * 2)),
