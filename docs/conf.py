@@ -1,5 +1,4 @@
-"""The documentation site: `make docs` builds it into out/docs, off-line, and any warning fails
-it."""
+"""Configuration of the documentation; `make docs` builds it in out/docs without a network."""
 
 import re
 from pathlib import Path
@@ -21,7 +20,7 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",
 ]
-suppress_warnings = ["ref.python"]  # an attribute's name may be that of another class's
+suppress_warnings = ["ref.python"]  # attributes of different classes can have the same name
 exclude_patterns = ["_build", "notebooks/solutions", "**/.ipynb_checkpoints", "api/modules.rst"]
 
 html_theme = "furo"
@@ -32,19 +31,19 @@ html_show_copyright = False
 myst_enable_extensions = ["amsmath", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# They are stored without outputs, and run anew for every site: a cache would not notice that the
-# library has changed.
+# The notebooks are stored without outputs and executed for every build: a cache would not detect
+# changes of the library.
 nb_execution_mode = "force"
 nb_execution_timeout = 180
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 
-# The reference: a page for each public module, written anew at every build.
+# The reference: one page per public module, generated at every build.
 apidoc_modules = [
     {
         "path": str(HERE.parent / "sfmkit"),
         "destination": "api",
-        "exclude_patterns": ["**/commands/**", "**/cli.py", "**/demo/**"],
+        "exclude_patterns": ["**/cli/**", "**/datasets/demo/**"],
         "separate_modules": True,
         "module_first": True,
         "automodule_options": {"members", "show-inheritance"},
@@ -56,13 +55,12 @@ autodoc_default_options = {"ignore-module-all": True}
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-napoleon_use_ivar = True  # attributes of a class once, where it describes them
+napoleon_use_ivar = True  # list attributes once, in the docstring of their class
 add_module_names = False
 
 
 def _plain(app, what, name, obj, options, lines: list[str]) -> None:
-    """Docstrings use no emphasis and no substitutions: their stars and bars are mathematics, as in
-    (*B, N, 2) or |t|."""
+    """Escape stars and bars, which are mathematics in docstrings, as in (*B, N, 2) or |t|."""
     for i, line in enumerate(lines):
         parts = re.split(r"(``.*?``)", line)
         lines[i] = "".join(
@@ -71,8 +69,7 @@ def _plain(app, what, name, obj, options, lines: list[str]) -> None:
 
 
 def _skip(app, what, name, obj, skip, options) -> bool | None:
-    """The function `sfmkit.datasets.pair` has the name of a module, and a site cannot describe
-    both."""
+    """Skip `sfmkit.datasets.pairs`: a site cannot describe a function and a module of one name."""
     return (
         True
         if getattr(obj, "__qualname__", "") == "pairs" and obj.__module__ == "sfmkit.datasets"
@@ -81,5 +78,5 @@ def _skip(app, what, name, obj, skip, options) -> bool | None:
 
 
 def setup(app) -> None:
-    app.connect("autodoc-process-docstring", _plain, priority=400)  # before the sections are read
+    app.connect("autodoc-process-docstring", _plain, priority=400)  # before napoleon parses the sections
     app.connect("autodoc-skip-member", _skip)
