@@ -78,5 +78,5 @@ def _skip(app, what, name, obj, skip, options) -> bool | None:
 
 
 def setup(app) -> None:
-    app.connect("autodoc-process-docstring", _plain, priority=400)  # before napoleon parses the sections
+    app.connect("autodoc-process-docstring", _plain, priority=400)  # before napoleon
     app.connect("autodoc-skip-member", _skip)
