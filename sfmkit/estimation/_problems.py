@@ -215,10 +215,9 @@ class EssentialProblem(_Epipolar):
         m = self.matches
         w = None if m.weights is None else m.weights[rows]
         m = Bearings(m.h1[:, rows], m.h2[:, rows], m.S1, m.S2, w)
-        R, t, *_ = minimise(
-            *kernels.one_pose(models), m, Objective("marginal", scale * self.threshold), steps
-        )
-        return hat(t) @ R
+        objective = Objective("marginal", scale * self.threshold)
+        pose = minimise(*kernels.one_pose(models), m, objective, steps).state
+        return hat(pose.t) @ pose.R
 
 
 class FundamentalProblem(_Epipolar):

@@ -1,8 +1,10 @@
-"""Derivatives of the two-view minimum by the data, without the iterations that found it.
+"""Derivatives of a minimum with respect to the data, without the iterations that found it.
 
-At the minimum the gradient g(unknowns; data) vanishes and stays so when the data moves:
-``d unknowns = -H^-1 dg``, with the exact Hessian H. It has the same arrow shape as the Gauss-Newton
-matrix and is eliminated the same way.
+At the minimum the gradient ``g(unknowns; data)`` is zero and stays zero when the data change:
+``d unknowns = -H^-1 dg`` with the exact Hessian H. Nothing is computed until a derivative is asked
+for; the backward pass then takes one Hessian, one linear solve, and one derivative of the gradient
+with respect to the data. Since it is itself made of differentiable functions of the unknowns and
+the data, second derivatives are right too. Forward mode is not supported.
 
 Source: implicit function theorem; Krantz and Parks 2002; for bundle adjustment, Triggs et al. 2000,
 section 10.1.
@@ -10,95 +12,108 @@ section 10.1.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from ._forward_mode import forward_mode
-from ._rays import Vector
-from ._two_view_problem import Problem, State
+from .checks import _traced
+
+Tensors = tuple[Tensor, ...]
 
 
-class Hessian(NamedTuple):
-    """The exact second derivatives of the cost, points eliminated."""
+class Objective(Protocol):
+    """A minimisation problem over a manifold; a step is a tuple of tensors in its tangent space."""
 
-    camera: Tensor  # (*B, m, m) reduced: what remains for the camera
-    mixed: Tensor  # (*B, 3, m, N) points by camera
-    inverse: Tensor  # (*B, 3, 3, N) inverse of every point's own block
+    def zero(self, unknowns: Tensors) -> Tensors:
+        """Return the zero step."""
 
-    def pull_points(self, g: Tensor) -> Tensor:
-        """``H_yy^-1 g`` for g ``(*B, 3, ..., N)``."""
-        return torch.einsum("...ijn,...jn->...in", self.inverse, g)
+    def move(self, unknowns: Tensors, step: Tensors) -> Tensors:
+        """Return the unknowns after a step."""
 
+    def cost(self, unknowns: Tensors, data: Tensors) -> Tensor:
+        """Return the cost ``(*B,)``."""
 
-def gradient(camera: Tensor, y: Tensor, state: State, problem: Problem) -> tuple[Tensor, Tensor]:
-    """The cost's gradient by the camera step (*B, m) and the points (*B, 3, N), at a step away from
-    `state`."""
-
-    def cost(camera: Tensor, y: Tensor) -> Tensor:
-        moved = problem.move(state._replace(y=_vector(y)), camera)
-        return problem.cost(moved).sum()
-
-    return torch.func.grad(cost, argnums=(0, 1))(camera, y)
+    def solve(self, product: Callable[..., Tensors], g: Tensors) -> Tensors:
+        """Return ``H^-1 g``, given the product of H with a step."""
 
 
-def hessian(state: State, problem: Problem) -> Hessian:
-    """The blocks of the exact Hessian: one product with a direction per camera unknown and three
-    for all points."""
-    m = problem.size
-    y = torch.stack(state.y, -2)
-    zero = torch.zeros_like(state.t[..., :1]).repeat_interleave(m, -1)
-
-    def along(camera: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        direction = camera.expand_as(zero).clone(), points.expand_as(y).clone()
-        with forward_mode():
-            return torch.func.jvp(
-                lambda c, p: gradient(c, p, state, problem), (zero, y), direction
-            )[1]
-
-    eye_c = torch.eye(m, dtype=y.dtype, device=y.device)
-    eye_y = torch.eye(3, dtype=y.dtype, device=y.device)
-    columns = [along(e, torch.zeros_like(y)) for e in eye_c]
-    Hcc = torch.stack([c for c, _ in columns], -1)
-    Hyc = torch.stack([p for _, p in columns], -2)
-    Hyy = torch.stack([along(torch.zeros_like(zero), e[:, None])[1] for e in eye_y], -2)
-    inverse = _inverse3(Hyy)
-    reduced = Hcc - torch.einsum(
-        "...kmn,...kjn->...mj", Hyc, torch.einsum("...kln,...ljn->...kjn", inverse, Hyc)
-    )
-    return Hessian(reduced, Hyc, inverse)
+def is_differentiated(data: Iterable[Tensor | None]) -> bool:
+    """Return whether a derivative with respect to the data may be asked for later."""
+    if _traced():
+        return True
+    return torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in data)
 
 
-def attach_derivatives(state: State, fixed: Problem, problem: Problem) -> State:
-    """One exact Newton step from the minimum, recorded through the data only: same values, first
-    derivatives right."""
-    H = hessian(state, fixed)
-    y = torch.stack(state.y, -2)
-    zero = torch.zeros_like(state.t[..., :1]).repeat_interleave(fixed.size, -1)
-    g_camera, g_points = gradient(zero, y, state, problem)
-    own = H.pull_points(g_points)
-    camera = -torch.linalg.solve(
-        H.camera, g_camera - torch.einsum("...kmn,...kn->...m", H.mixed, own)
-    )
-    points = -own - H.pull_points(torch.einsum("...kmn,...m->...kn", H.mixed, camera))
-    return problem.move(state, camera, _vector(points))
+def attach_derivatives(objective: Objective, unknowns: Tensors, data: Tensors) -> Tensors:
+    """Return the unknowns, differentiable with respect to the data."""
+    return _Minimum.apply(objective, len(unknowns), *unknowns, *data)  # type: ignore[no-any-return]
 
 
-def _vector(y: Tensor) -> Vector:
-    u, v, w = y.unbind(-2)
-    return u, v, w
+def solve_dense(product: Callable[..., Tensors], g: Tensors) -> Tensors:
+    """Return ``H^-1 g`` for one step tensor ``(*B, m)`` with a small m.
+
+    The pseudo-inverse gives a derivative of zero, not an error, where no match counts any more
+    because all residuals are cut off.
+    """
+    (b,) = g
+    (columns,) = torch.func.vmap(product)(unit_steps(b))
+    H = columns.movedim(0, -1)
+    return ((torch.linalg.pinv(H, rtol=1e-14) @ b[..., None])[..., 0],)
 
 
-def _inverse3(A: Tensor) -> Tensor:
-    """The inverse of symmetric ``(*B, 3, 3, N)``, closed form."""
-    (a, b, c), (_, d, e), (_, _, f) = (row.unbind(-2) for row in A.unbind(-3))
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * aa + b * ab + c * ac
-    rows = (
-        torch.stack((aa, ab, ac), -2),
-        torch.stack((ab, dd, de), -2),
-        torch.stack((ac, de, ff), -2),
-    )
-    return torch.stack(rows, -3) / determinant[..., None, None, :]
+def unit_steps(like: Tensor) -> Tensor:
+    """Return ``(m, *B, m)``: the unit steps along each of the m unknowns of ``(*B, m)``."""
+    m = like.shape[-1]
+    eye = torch.eye(m, dtype=like.dtype, device=like.device)
+    return eye.reshape(m, *([1] * (like.ndim - 1)), m).expand(m, *like.shape)
+
+
+def gradient(objective: Objective, unknowns: Tensors, data: Tensors, step: Tensors) -> Tensors:
+    """Return the gradient of the cost with respect to a step from the unknowns."""
+
+    def cost(step: Tensors) -> Tensor:
+        return objective.cost(objective.move(unknowns, step), data).sum()
+
+    return torch.func.grad(cost)(step)  # type: ignore[no-any-return]
+
+
+def gradient_pullback(
+    objective: Objective, unknowns: Tensors, data: Tensors
+) -> Callable[[Tensors], tuple[Tensors, Tensors]]:
+    """Return the map from a step s to ``H s`` and to the derivative of ``g . s`` by the data.
+
+    H is the exact Hessian; the map can be mapped over steps.
+    """
+
+    def slope(step: Tensors, data: Tensors) -> Tensors:
+        return gradient(objective, unknowns, data, step)
+
+    _, pullback = torch.func.vjp(slope, objective.zero(unknowns), data)
+    return pullback  # type: ignore[no-any-return]
+
+
+class _Minimum(torch.autograd.Function):
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(objective: Objective, n: int, *tensors: Tensor) -> Tensors:
+        return tuple(a.clone() for a in tensors[:n])
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensors) -> None:
+        ctx.objective, ctx.n, *tensors = inputs
+        # The outputs, not the inputs: a second derivative sees that they depend on the data.
+        ctx.save_for_backward(*output, *tensors[ctx.n :])
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
+        objective = ctx.objective
+        unknowns, data = ctx.saved_tensors[: ctx.n], ctx.saved_tensors[ctx.n :]
+        zero = objective.zero(unknowns)
+        _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)
+        pullback = gradient_pullback(objective, unknowns, data)
+        solved = objective.solve(lambda *step: pullback(step)[0], chart(grads))
+        _, by_data = pullback(solved)
+        return (None, None, *([None] * ctx.n), *(-a for a in by_data))

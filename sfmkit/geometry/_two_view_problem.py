@@ -57,12 +57,14 @@ class Problem:
     scale: float
     focal: Focal
 
+    @property
+    def data(self) -> tuple[Tensor, ...]:
+        """x1, x2, weights, K1 and K2."""
+        return self.x1, self.x2, self.weights, self.K1, self.K2
+
     def detached(self) -> Problem:
-        """The same problem, cut off from any graph."""
-        x1, x2, weights, K1, K2 = (
-            a.detach() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
-        )
-        return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
+        """Return the same problem without its graph."""
+        return Problem(*(a.detach() for a in self.data), self.loss, self.scale, self.focal)
 
     def part(self, rows: slice) -> Problem:
         """The problem of some of the matches."""
@@ -70,10 +72,6 @@ class Problem:
         return Problem(
             x1, x2, self.weights[..., rows], self.K1, self.K2, self.loss, self.scale, self.focal
         )
-
-    @property
-    def requires_grad(self) -> bool:
-        return any(a.requires_grad for a in (self.x1, self.x2, self.weights, self.K1, self.K2))
 
     @property
     def size(self) -> int:

@@ -8,6 +8,9 @@ import torch
 from torch import Tensor
 
 from ..errors import DegenerateGeometryError, InputError
+from ._bundle_implicit import BundleObjective, from_unknowns, to_unknowns
+from ._implicit import attach_derivatives, is_differentiated
+from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquardt
 from ._two_view_problem import FREE_FOCALS, Focal, Problem, State, linearise, settle_points
 from .checks import _traced, check_intrinsics, check_points
 from .kernels import normalize
@@ -16,9 +19,9 @@ from .pose import check_pose
 from .triangulation import triangulate_optimal
 
 _TOLERANCE = 1e-12  # of the cost: the decrease still to be had at convergence
-_NEAR = 1e-2  # of the cost: a step that gains less is close to the minimum
 _EXACT = 1e-20  # pixels squared per match: rounding of the residuals
-_DAMPING = (1e-4, 10.0)  # at the start, and the factor by which it changes
+_DAMPING = 1e-4  # at the start
+_POLISH = 2  # steps; each leaves about a tenth of the error
 # times the damping: the points need little, and whatever they get is shared out to the camera
 _POINT_DAMPING = 1e-5
 
@@ -158,11 +161,12 @@ def bundle_adjust(
     state = _start(
         fixed, R.detach().double().expand(*batch, 3, 3), t.detach().double().expand(*batch, 3)
     )
-    state, cost, iterations, converged = _minimise(state, fixed, max_iterations)
-    if max_iterations > 0 and (_traced() or (torch.is_grad_enabled() and problem.requires_grad)):
-        from ._implicit import attach_derivatives
-
-        state = attach_derivatives(state, fixed, problem)
+    differentiated = max_iterations > 0 and is_differentiated(problem.data)
+    found = _minimise(state, fixed, max_iterations, _POLISH if differentiated else 0)
+    state = found.state
+    if differentiated:
+        objective = BundleObjective(loss, loss_scale, focal)
+        state = from_unknowns(attach_derivatives(objective, to_unknowns(state), problem.data))
     f1, f2 = state.log_focal.exp().unbind(-1)
     kind = x1.dtype
     return TwoViewBundle(
@@ -171,9 +175,9 @@ def bundle_adjust(
         torch.stack(state.y, -1).to(kind),
         _with_focal(problem.K1, f1).to(kind),
         _with_focal(problem.K2, f2).to(kind),
-        cost.to(kind),
-        iterations,
-        converged,
+        found.history.to(kind),
+        found.iterations,
+        found.converged,
         x1,
         x2,
         ones,
@@ -197,56 +201,24 @@ def _start(problem: Problem, R: Tensor, t: Tensor) -> State:
     return State(R, t, torch.zeros_like(t[..., :2]), (x / z, y / z, w / z))
 
 
-def _minimise(
-    state: State, problem: Problem, max_iterations: int
-) -> tuple[State, Tensor, Tensor, Tensor]:
-    """Levenberg-Marquardt, every batch item at its own pace: state, cost history, iterations,
-    converged."""
-    watched = (
-        not _traced()
-    )  # inside a transform values cannot decide when to stop: all iterations are run
-    cost = problem.cost(state)
-    n = problem.x1.shape[-2]
-    damping = torch.full_like(cost, _DAMPING[0])
-    iterations = torch.zeros_like(cost, dtype=torch.int64)
-    converged = torch.zeros_like(cost, dtype=torch.bool)
-    near = converged
-    history = [cost]
-    for _ in range(max_iterations):
+def _minimise(state: State, problem: Problem, max_iterations: int, polish: int) -> Minimised[State]:
+    def propose(state: State, damping: Tensor, near: Tensor) -> Trial[State]:
         system = linearise(state, problem, _POINT_DAMPING * damping, near)
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
-        # The points follow to second order, so that the camera's step is judged on its own merits:
-        # along a curved valley (a free focal length) this takes a tenth of the iterations.
+        # A second step of the points alone judges the camera's step by its own effect: along a
+        # curved valley (a free focal length) this takes a tenth of the iterations.
         trial = settle_points(trial, problem, _POINT_DAMPING * damping)
-        reached = problem.cost(trial)
         # What a full step could still gain, from the points and then from the camera.
         own = system.Z[..., -1, :, :]
         gain = (own * own).sum((-1, -2)) - (camera * system.g).sum(-1)
-        arrived = gain.abs() <= _TOLERANCE * cost + _EXACT * n
-        iterations = iterations + (~converged).long()
-        better = (reached <= cost) & ~converged
-        state = _select(better, trial, state)
-        cost = torch.where(better, reached, cost)
-        damping = torch.where(better, damping / _DAMPING[1], damping * _DAMPING[1])
-        near = better & (gain < _NEAR * cost)
-        converged = converged | arrived
-        history.append(cost)
-        if watched and bool(converged.all()):
-            break
-    return state, torch.stack(history, -1), iterations, converged
+        return Trial(trial, problem.cost(trial), gain)
 
-
-def _select(condition: Tensor, a: State, b: State) -> State:
-    one = condition[..., None]
-    u, v, w = (torch.where(one, i, j) for i, j in zip(a.y, b.y))
-    return State(
-        torch.where(one[..., None], a.R, b.R),
-        torch.where(one, a.t, b.t),
-        torch.where(one, a.log_focal, b.log_focal),
-        (u, v, w),
+    schedule = Schedule(
+        max_iterations, _TOLERANCE, _EXACT * problem.x1.shape[-2], _DAMPING, polish=polish
     )
+    return levenberg_marquardt(state, problem.cost(state), propose, schedule)
 
 
 def _with_focal(K: Tensor, f: Tensor) -> Tensor:

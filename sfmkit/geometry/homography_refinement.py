@@ -3,33 +3,26 @@ pixels."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._forward_mode import forward_mode
+from ._implicit import Tensors, attach_derivatives, is_differentiated, solve_dense
+from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquardt
 from .checks import check_matrices, check_points
-from .kernels import hartley, squared_homography_sampson
-from .losses import marginal_score, marginal_weight
+from .coordinates import to_homogeneous
+from .kernels import hartley
+from .losses import LossTerms, loss_terms
 
-_TOLERANCE = 1e-7  # of the score: the gain of a step at convergence
-_DAMPING = (1e-6, 30.0)  # at the start, and the factor by which it grows when a step is refused
+_TOLERANCE = 1e-12  # of the cost: the decrease still to be gained at convergence
+_EXACT = 1e-24  # square pixels per match: rounding of the residuals
+_DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
+_POLISH = 3  # steps; each leaves about a hundredth of the error
 _LEAST_MATCHES = 8
-
-
-class _State(NamedTuple):
-    """Matches under a homography G of normalised coordinates; `square` in square pixels, infinite
-    behind the camera."""
-
-    residual: Tensor  # (N, 2)
-    image: Tensor  # (N, 2) G x1
-    depth: Tensor  # (N, 1) third homogeneous coordinate
-    information: (
-        Tensor  # (N, 2, 2) inverse covariance of the residual, for unit noise in both images
-    )
-    square: Tensor  # (N,)
+_HORIZON = 1e-9  # depth, of about 1 elsewhere: keeps points on the horizon finite
 
 
 def refine_homography(
@@ -41,24 +34,23 @@ def refine_homography(
     threshold_px: float = 3.0,
     max_iterations: int = 15,
 ) -> Tensor:
-    """The homography near H whose Sampson distances have the highest marginal score, by
-    Levenberg-Marquardt.
+    """Minimise the marginal loss of the Sampson distances of a homography.
 
-    Matches beyond the threshold do not count, those within count less the farther they are; H may
-    move until others come within.
+    Levenberg-Marquardt from H. Matches beyond the threshold do not count, those within count less
+    the farther they are; H may move until others come within.
 
-    The maximum is differentiable by x1, x2 and weights (first derivatives, implicit function
-    theorem, exact Hessian); the start has derivative zero.
+    The minimum is differentiable with respect to x1, x2 and weights (reverse mode, implicit
+    function theorem, exact Hessian; second derivatives too); the start has derivative zero.
 
     Args:
-        H: (3, 3) ``x2 = H x1`` in pixels.
-        x1, x2: (N, 2) pixels, float64.
-        weights: (N,) of the squared distances, not negative.
+        H: ``(*B, 3, 3)`` ``x2 = H x1`` in pixels.
+        x1, x2: ``(*B, N, 2)`` pixels.
+        weights: ``(*B, N)`` or ``(N,)`` of the squared distances, not negative.
         threshold_px: see :mod:`sfmkit.geometry.losses`.
 
     Returns:
-        (3, 3) with ``H[2, 2] = 1``. H itself, so scaled, where fewer than 8 matches lie within the
-        threshold.
+        ``(*B, 3, 3)`` with ``H[2, 2] = 1``. H itself, so scaled and with derivative zero, where
+        fewer than 8 matches lie within the threshold.
 
     Raises:
         InputError: shapes, dtypes, NaN, a threshold that is not positive.
@@ -68,103 +60,165 @@ def refine_homography(
     """
     check_points(0, weights, x1=x1, x2=x2)
     check_matrices(x1, H=H)
-    given = (x1, x2, weights)
-    H, x1, x2 = H.detach(), x1.detach(), x2.detach()
-    weights = None if weights is None else weights.detach()
     if not threshold_px > 0:
         raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
-    if len(x1) < _LEAST_MATCHES:
-        return H / H[2, 2]
-    (n1, T1), (n2, T2) = hartley(x1), hartley(x2)
-    scale1, scale2 = T1[0, 0], T2[0, 0]
+    try:
+        batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
+    except RuntimeError:
+        raise InputError("the batch shapes of H and x1 do not fit together") from None
+    dtype = x1.dtype
+    H, x1, x2 = H.detach().double().expand(*batch, 3, 3), x1.double(), x2.double()
+    w = torch.ones_like(x1[..., 0]) if weights is None else weights.double()
+    if x1.shape[-2] < _LEAST_MATCHES or max_iterations < 1:
+        return (H / H[..., 2:, 2:]).to(dtype)
+    # Hartley's coordinates are constants of the problem: the minimum does not depend on them.
+    (_, T1), (_, T2) = hartley(x1.detach()), hartley(x2.detach())
     G = T2 @ H @ torch.linalg.inv(T1)
-    G = G / G[2, 2]
-    h1 = torch.cat((n1, torch.ones_like(n1[:, :1])), 1)
-
-    def state(G: Tensor) -> _State:
-        y = h1 @ G.mT
-        depth = y[:, 2:]
-        image = y[:, :2] / depth
-        A = (G[:2, :2] - image[:, :, None] * G[2:, :2]) / depth[:, :, None] * (scale1 / scale2)
-        residual = n2 - image
-        information = _inverse(torch.eye(2, dtype=G.dtype) + A @ A.mT)
-        square = torch.einsum("ni,nij,nj->n", residual, information, residual) / scale2**2
-        usable = square.isfinite() & (depth[:, 0] * depth.median().sign() > 0)
-        return _State(residual, image, depth, information, torch.where(usable, square, torch.inf))
-
-    def score(s: _State) -> float:
-        each = marginal_score(s.square.clamp(max=threshold_px**2), threshold_px)
-        return float((each if weights is None else each * weights).sum())
-
-    now = state(G)
-    best, damping = score(now), _DAMPING[0]
-    for _ in range(max_iterations):
-        near = now.square < threshold_px**2
-        if int(near.sum()) < _LEAST_MATCHES:
-            break
-        weight = marginal_weight(now.square[near], threshold_px)
-        N, b = _normal_equations(
-            h1, now, near, weight if weights is None else weight * weights[near]
-        )
-        while True:
-            step = torch.linalg.solve(N + damping * torch.diag(N.diagonal()), b)
-            trial_G = G + torch.cat((step, step.new_zeros(1))).view(3, 3)
-            trial = state(trial_G)
-            gain = score(trial) - best
-            if gain >= 0 or damping > 1e6:
-                break
-            damping *= _DAMPING[1]
-        if gain < 0:
-            break
-        G, now, best, damping = trial_G, trial, best + gain, max(damping / 10, 1e-9)
-        if gain <= _TOLERANCE * best:
-            break
+    objective = _Objective(T1, T2, threshold_px)
+    start = objective.evaluate(G / G[..., 2:, 2:], x1.detach(), x2.detach())
+    enough = (start.square < threshold_px**2).sum(-1) >= _LEAST_MATCHES
+    w = w * enough[..., None]  # no weight, no derivative
+    differentiated = is_differentiated((x1, x2, w))
+    data = (x1.detach(), x2.detach(), w.detach())
+    polish = _POLISH if differentiated else 0
+    found = _minimise(start, objective, data, enough, max_iterations, polish)
+    G = found.state.G
+    if differentiated:
+        (G,) = attach_derivatives(objective, (G,), (x1, x2, w))
     H = torch.linalg.inv(T2) @ G @ T1
-    H = H / H[2, 2]
-    if torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in given):
-        return _attach_derivatives(H, *given, threshold_px)
-    return H
+    return (H / H[..., 2:, 2:]).to(dtype)
 
 
-def _attach_derivatives(
-    H: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None, threshold_px: float
-) -> Tensor:
-    """One exact Newton step from the maximum, recorded through the data only: first derivatives are
-    right."""
-    (_, T1), (_, T2) = (
-        hartley(x1.detach()),
-        hartley(x2.detach()),
-    )  # coordinates in which the Hessian is benign
-    G = T2 @ H @ torch.linalg.inv(T1)
-    corner = G[2, 2]
-    free = (G / corner).flatten()[:8]
+class _Evaluated(NamedTuple):
+    """All matches under a homography G of normalised coordinates; components ``(*B, N)``."""
 
-    def cost(g: Tensor, x1: Tensor, x2: Tensor, weights: Tensor | None) -> Tensor:
-        G = torch.cat((g, g.new_ones(1))).view(3, 3)
-        square = squared_homography_sampson(torch.linalg.inv(T2) @ G @ T1, x1, x2)
-        each = marginal_score(square.clamp(max=threshold_px**2), threshold_px)
-        return -(each if weights is None else each * weights).sum()
-
-    gradient = torch.func.grad(cost)
-    fixed = [None if a is None else a.detach() for a in (x1, x2, weights)]
-    with forward_mode():
-        hessian = torch.func.jacfwd(gradient)(free, *fixed)
-    step = -torch.linalg.pinv(hessian, rtol=1e-14) @ gradient(free, x1, x2, weights)
-    H = torch.linalg.inv(T2) @ torch.cat((free + step, free.new_ones(1))).view(3, 3) @ T1
-    return H / H[2, 2]
+    G: Tensor  # (*B, 3, 3)
+    h1: Tensor  # (*B, N, 3) homogeneous normalised points of image 1
+    image: Tensor  # (*B, N, 2) G h1
+    depth: Tensor  # (*B, N) third homogeneous coordinate
+    A: Tensor  # (*B, N, 2, 2) derivative of the image by x1, in the scale of image 2
+    root: Tensor  # (*B, N, 2, 2) lower Cholesky factor of I + A A^T
+    residual: Tensor  # (*B, N, 2) in image 2
+    scale: Tensor  # (*B, 1) normalised units of image 2 per pixel
+    ratio: Tensor  # (*B, 1) the scale of image 1 over that of image 2
+    square: Tensor  # (*B, N) Sampson distance, square pixels; infinite behind the camera
+    terms: LossTerms
 
 
-def _inverse(S: Tensor) -> Tensor:
-    """(N, 2, 2) inverses; not finite, instead of an error, where a point is sent to infinity."""
-    a, b, c, d = S.flatten(1).unbind(1)
-    return torch.stack((d, -b, -c, a), -1).unflatten(-1, (2, 2)) / (a * d - b * c)[:, None, None]
+class _Objective(NamedTuple):
+    """The marginal loss, and the minimisation over G for :mod:`._implicit`."""
+
+    T1: Tensor
+    T2: Tensor
+    threshold: float
+
+    def evaluate(self, G: Tensor, x1: Tensor, x2: Tensor) -> _Evaluated:
+        h1 = to_homogeneous(x1) @ self.T1.mT
+        n2 = (to_homogeneous(x2) @ self.T2.mT)[..., :2]
+        scale = self.T2[..., :1, 0]
+        ratio = self.T1[..., :1, 0] / scale
+        y = h1 @ G.mT
+        depth = torch.where(y[..., 2].abs() < _HORIZON, _HORIZON, y[..., 2])
+        image = y[..., :2] / depth[..., None]
+        A = G[..., None, :2, :2] - image[..., :, None] * G[..., None, 2:, :2]
+        A = A * (ratio / depth)[..., None, None]
+        residual = n2 - image
+        root = _cholesky2(A)
+        u, v = _whiten(root, residual)
+        square = (u * u + v * v) / scale**2
+        usable = square.isfinite() & (depth * depth.detach().median(-1, keepdim=True)[0] > 0)
+        square = torch.where(usable, square, torch.inf)
+        terms = loss_terms("marginal", square.clamp(max=self.threshold**2), self.threshold)
+        parts = (G, h1, image, depth, A, root, residual, scale, ratio, square, terms)
+        return _Evaluated(*parts)
+
+    def zero(self, unknowns: Tensors) -> Tensors:
+        return (torch.zeros_like(unknowns[0].flatten(-2)[..., :8]),)
+
+    def move(self, unknowns: Tensors, step: Tensors) -> Tensors:
+        return (unknowns[0] + torch.nn.functional.pad(step[0], (0, 1)).unflatten(-1, (3, 3)),)
+
+    def cost(self, unknowns: Tensors, data: Tensors) -> Tensor:
+        x1, x2, w = data
+        return _total(self.evaluate(unknowns[0], x1, x2), w)
+
+    def solve(self, product: Callable[..., Tensors], g: Tensors) -> Tensors:
+        return solve_dense(product, g)
 
 
-def _normal_equations(h1: Tensor, s: _State, near: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """(8, 8) and (8,) of the weighted least squares in the entries of G but the last."""
-    a = h1[near] / s.depth[near]
-    zero = torch.zeros_like(a)
-    u, v = s.image[near, :1], s.image[near, 1:]
-    J = torch.stack((torch.cat((a, zero, -u * a), 1), torch.cat((zero, a, -v * a), 1)), 1)[:, :, :8]
-    WJ = (s.information[near] * weight[:, None, None]) @ J
-    return J.flatten(0, 1).mT @ WJ.flatten(0, 1), WJ.flatten(0, 1).mT @ s.residual[near].flatten()
+def _total(e: _Evaluated, w: Tensor) -> Tensor:
+    return 0.5 * (w * e.terms.value).sum(-1)
+
+
+def _cholesky2(A: Tensor) -> Tensor:
+    """Return the lower Cholesky factor of ``I + A A^T`` for ``(*B, N, 2, 2)``."""
+    (a, b), (c, d) = (row.unbind(-1) for row in A.unbind(-2))
+    l00 = (1 + a * a + b * b).sqrt()
+    l10 = (a * c + b * d) / l00
+    # The determinant 1 + |A|^2 + det(A)^2 as a sum of squares: nothing cancels.
+    l11 = (1 + a * a + b * b + c * c + d * d + (a * d - b * c) ** 2).sqrt() / l00
+    zero = torch.zeros_like(l00)
+    return torch.stack((torch.stack((l00, zero), -1), torch.stack((l10, l11), -1)), -2)
+
+
+def _whiten(root: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the components of ``root^-1 r``."""
+    u = r[..., 0] / root[..., 0, 0]
+    return u, (r[..., 1] - root[..., 1, 0] * u) / root[..., 1, 1]
+
+
+def _minimise(
+    start: _Evaluated,
+    objective: _Objective,
+    data: Tensors,
+    enough: Tensor,
+    max_iterations: int,
+    polish: int,
+) -> Minimised[_Evaluated]:
+    x1, x2, w = data
+
+    def propose(now: _Evaluated, damping: Tensor, near: Tensor) -> Trial[_Evaluated]:
+        N, g = _linearise(now, w, near)
+        scaled = damping[..., None] * N.diagonal(dim1=-2, dim2=-1)
+        N = N + torch.diag_embed(scaled + torch.finfo(N.dtype).tiny)
+        step = -torch.linalg.solve_ex(N, g[..., None])[0][..., 0]
+        trial = objective.evaluate(*objective.move((now.G,), (step,)), x1, x2)
+        count = (trial.square < objective.threshold**2).sum(-1)
+        cost = torch.where(count >= _LEAST_MATCHES, _total(trial, w), torch.inf)
+        return Trial(trial, cost, -(step * g).sum(-1))
+
+    floor = _EXACT * x1.shape[-2]
+    schedule = Schedule(max_iterations, _TOLERANCE, floor, *_DAMPING, polish=polish)
+    return levenberg_marquardt(start, _total(start, w), propose, schedule, converged=~enough)
+
+
+def _linearise(e: _Evaluated, w: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the robust Gauss-Newton matrix ``(*B, 8, 8)`` and the exact gradient ``(*B, 8)``.
+
+    With ``S = I + A A^T``, ``z = S^-1 r`` and ``a = A^T z`` the derivative of ``r^T S^-1 r / 2`` is
+    ``-z^T d(image + A a)`` with a held fixed: the Jacobian at the corrected point of image 1.
+    """
+    u, v = _whiten(e.root, e.residual)
+    z1 = v / e.root[..., 1, 1]
+    z0 = (u - e.root[..., 1, 0] * z1) / e.root[..., 0, 0]
+    a = (e.A.mT @ torch.stack((z0, z1), -1)[..., None])[..., 0]
+    shift = (e.A @ a[..., None])[..., 0]
+    inverse = 1 / e.depth[..., None]
+    h = e.h1 * inverse
+    ka = a * (e.ratio * inverse[..., 0])[..., None]
+    c = (ka * e.G[..., None, 2, :2]).sum(-1, keepdim=True)
+    corrected = (1 - c) * h + torch.nn.functional.pad(ka, (0, 1))
+    zero = torch.zeros_like(corrected)
+    last = (
+        -e.image[..., :, None] * corrected[..., None, :2] - shift[..., :, None] * h[..., None, :2]
+    )
+    J0 = torch.cat((corrected, zero, last[..., 0, :]), -1)
+    J1 = torch.cat((zero, corrected, last[..., 1, :]), -1)
+    U0, U1 = _whiten(e.root[..., None, :, :], torch.stack((J0, J1), -1))
+    p = u[..., None] * U0 + v[..., None] * U1  # minus the gradient of half the squared distance
+    square_px = 1 / e.scale**2
+    slope, curvature = w * e.terms.slope * square_px, w * e.terms.curvature * square_px**2
+    curvature = torch.where(near[..., None], 2 * curvature, 0.0)
+    U = torch.stack((U0, U1, p), -2).flatten(-3, -2)
+    weight = torch.stack((slope, slope, curvature), -1).flatten(-2)
+    return (U * weight[..., None]).mT @ U, -(p * slope[..., None]).sum(-2)

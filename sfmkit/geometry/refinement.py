@@ -3,6 +3,7 @@ no points."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,8 +11,9 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ._forward_mode import forward_mode
-from .checks import _traced, check_intrinsics, check_points
+from ._implicit import Tensors, attach_derivatives, is_differentiated, solve_dense
+from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquardt
+from .checks import check_intrinsics, check_points
 from .coordinates import to_homogeneous
 from .kernels import inverse_intrinsics, normalize
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
@@ -20,8 +22,8 @@ from .pose import check_pose
 
 _TOLERANCE = 1e-14  # of the cost: the decrease still to be had at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
-_NEAR = 1e-2  # of the cost: a step that gains less is near the minimum
-_DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
+_DAMPING = 1e-6  # at the start
+_POLISH = 2  # steps; each leaves about a tenth of the error
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +107,40 @@ def refine_essential(
     objective = Objective(loss, loss_scale)
     R = R.detach().double().expand(*batch, 3, 3)
     t = torch.nn.functional.normalize(t.detach().double(), dim=-1).expand(*batch, 3)
-    R, t, cost, iterations, converged = minimise(R, t, fixed, objective, max_iterations)
-    differentiated = torch.is_grad_enabled() and any(
-        a is not None and a.requires_grad for a in matches
+    differentiated = max_iterations > 0 and is_differentiated(matches)
+    found = minimise(R, t, fixed, objective, max_iterations, _POLISH if differentiated else 0)
+    R, t = found.state.R, found.state.t
+    if differentiated:
+        if matches.weights is None:
+            matches = matches._replace(weights=torch.ones_like(matches.h1[..., 0, :]))
+        R, t = attach_derivatives(objective, (R, t), tuple(matches))  # type: ignore[arg-type]
+    return EssentialRefinement(
+        R.to(dtype), t.to(dtype), found.history.to(dtype), found.iterations, found.converged
     )
-    if max_iterations > 0 and (differentiated or _traced()):
-        R, t = _attach_derivatives(R, t, fixed, matches, objective)
-    return EssentialRefinement(R.to(dtype), t.to(dtype), cost.to(dtype), iterations, converged)
 
 
 class Objective(NamedTuple):
+    """The loss, and the minimisation over (R, t) for :mod:`._implicit`."""
+
     loss: Loss
     scale: float
 
-    def __call__(self, square: Tensor) -> LossTerms:
+    def terms(self, square: Tensor) -> LossTerms:
         return loss_terms(self.loss, square, self.scale)
+
+    def zero(self, unknowns: Tensors) -> Tensors:
+        return (torch.zeros_like(unknowns[1][..., :1]).repeat_interleave(5, -1),)
+
+    def move(self, unknowns: Tensors, step: Tensors) -> Tensors:
+        return _move(*unknowns, *step)
+
+    def cost(self, unknowns: Tensors, data: Tensors) -> Tensor:
+        R, t = unknowns
+        m = Bearings(*data)
+        return _total(self.terms(_residual(hat(t) @ R, m).r ** 2), m)
+
+    def solve(self, product: Callable[..., Tensors], g: Tensors) -> Tensors:
+        return solve_dense(product, g)
 
 
 class Bearings(NamedTuple):
@@ -204,77 +225,42 @@ def _move(R: Tensor, t: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
     return so3_exp(step[..., :3]) @ R, sphere_exp(t, turn)
 
 
-def minimise(
-    R: Tensor, t: Tensor, m: Bearings, objective: Objective, max_iterations: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Levenberg-Marquardt, every batch item at its own pace: R, t, cost history, iterations,
-    converged."""
-    watched = (
-        not _traced()
-    )  # inside a transform values cannot decide when to stop: all iterations are run
+class _Evaluated(NamedTuple):
+    """A pose and the residuals and losses of all matches there."""
+
+    R: Tensor
+    t: Tensor
+    residual: _Residual
+    terms: LossTerms
+
+
+def _evaluate(R: Tensor, t: Tensor, m: Bearings, objective: Objective) -> _Evaluated:
     residual = _residual(hat(t) @ R, m)
-    terms = objective(residual.r**2)
-    cost = _total(terms, m)
-    damping = torch.full_like(cost, _DAMPING[0])
-    iterations = torch.zeros_like(cost, dtype=torch.int64)
-    converged = torch.zeros_like(cost, dtype=torch.bool)
-    near = converged
-    history = [cost]
-    for _ in range(max_iterations):
-        by_entry, matrix = _linearise(residual, terms, m, near)
-        G = _tangent(R, t)
+    return _Evaluated(R, t, residual, objective.terms(residual.r**2))
+
+
+def minimise(
+    R: Tensor,
+    t: Tensor,
+    m: Bearings,
+    objective: Objective,
+    max_iterations: int,
+    polish: int = 0,
+) -> Minimised[_Evaluated]:
+    """Minimise from (R, t), without checks and derivatives; the state has the pose R, t."""
+
+    def propose(now: _Evaluated, damping: Tensor, near: Tensor) -> Trial[_Evaluated]:
+        by_entry, matrix = _linearise(now.residual, now.terms, m, near)
+        G = _tangent(now.R, now.t)
         g, H = (G.mT @ by_entry[..., None]), G.mT @ matrix @ G
-        H = H + torch.diag_embed(
-            damping[..., None] * H.diagonal(dim1=-2, dim2=-1) + torch.finfo(H.dtype).tiny
-        )
+        scaled = damping[..., None] * H.diagonal(dim1=-2, dim2=-1)
+        H = H + torch.diag_embed(scaled + torch.finfo(H.dtype).tiny)
         step = -torch.linalg.solve_ex(H, g)[0]
-        R_new, t_new = _move(R, t, step.squeeze(-1))
-        residual_new = _residual(hat(t_new) @ R_new, m)
-        terms_new = objective(residual_new.r**2)
-        reached = _total(terms_new, m)
-        gain = -(step * g).sum((-2, -1))
-        arrived = (gain.abs() <= _TOLERANCE * cost + _EXACT * residual.r.shape[-1]) | converged
-        iterations = iterations + (~converged).long()
-        better = (reached <= cost) & ~converged
-        R, t = (
-            torch.where(better[..., None, None], R_new, R),
-            torch.where(better[..., None], t_new, t),
-        )
-        residual = _Residual(*(_where(better, a, b) for a, b in zip(residual_new, residual)))
-        terms = LossTerms(*(_where(better, a, b) for a, b in zip(terms_new, terms)))
-        cost = torch.where(better, reached, cost)
-        damping = torch.where(better, damping / _DAMPING[1], damping * _DAMPING[1])
-        near = better & (gain < _NEAR * cost)
-        converged = arrived
-        history.append(cost)
-        if watched and bool(converged.all()):
-            break
-    return R, t, torch.stack(history, -1), iterations, converged
+        trial = _evaluate(*_move(now.R, now.t, step.squeeze(-1)), m, objective)
+        return Trial(trial, _total(trial.terms, m), -(step * g).sum((-2, -1)))
 
-
-def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    return torch.where(condition.reshape(condition.shape + (1,) * (a.ndim - condition.ndim)), a, b)
-
-
-def _attach_derivatives(
-    R: Tensor, t: Tensor, fixed: Bearings, matches: Bearings, objective: Objective
-) -> tuple[Tensor, Tensor]:
-    """One exact Newton step from the minimum, recorded through the data only: same values, first
-    derivatives right."""
-
-    def cost(step: Tensor, m: Bearings) -> Tensor:
-        R_new, t_new = _move(R, t, step)
-        return _total(objective(_residual(hat(t_new) @ R_new, m).r ** 2), m).sum()
-
-    gradient = torch.func.grad(cost)
-    zero = torch.zeros_like(t[..., :1]).repeat_interleave(5, -1)
-    with forward_mode():
-        columns = [
-            torch.func.jvp(lambda s: gradient(s, fixed), (zero,), (e.expand_as(zero).clone(),))[1]
-            for e in torch.eye(5, dtype=t.dtype, device=t.device)
-        ]
-    # The pseudo-inverse: where nothing counts any more (all residuals cut off) the derivative is
-    # zero, not an error.
-    inverse = torch.linalg.pinv(torch.stack(columns, -1), rtol=1e-14)
-    step = -(inverse @ gradient(zero, matches)[..., None]).squeeze(-1)
-    return _move(R, t, step)
+    start = _evaluate(R, t, m, objective)
+    schedule = Schedule(
+        max_iterations, _TOLERANCE, _EXACT * m.h1.shape[-1], _DAMPING, polish=polish
+    )
+    return levenberg_marquardt(start, _total(start.terms, m), propose, schedule)

@@ -1,5 +1,4 @@
-"""Which matches a pose hangs on: its derivative by every match, and what dropping a match would do
-to it."""
+"""The effect of each match on a pose: its derivative, and the change when the match is left out."""
 
 from __future__ import annotations
 
@@ -8,17 +7,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ._implicit import hessian
-from ._two_view_problem import Jacobian, jacobian, linearise, weigh
+from ._bundle_implicit import hessian
+from ._two_view_problem import Jacobian, Problem, State, jacobian, linearise, weigh
 from .bundle import TwoViewBundle
 
 
 def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
-    """The derivative of the pose by each match, ``(*B, N, 5, 4)``, radians per pixel.
+    """Return the derivative of the pose with respect to each match, ``(*B, N, 5, 4)``.
 
-    Rows: rotation vector (axes of camera 2) and the two tangent coordinates of t, as in
-    :class:`Uncertainty`; columns: x1, y1, x2, y2. Exact at the minimum (implicit function theorem
-    with the exact Hessian), for all matches at once and linear in N; what autograd through
+    Radians per pixel. Rows: rotation vector (axes of camera 2) and the two tangent coordinates of
+    t, as in :class:`Uncertainty`; columns: x1, y1, x2, y2. Exact at the minimum (implicit function
+    theorem with the exact Hessian), for all matches at once and linear in N, where autograd through
     :func:`bundle_adjust` gives one output at a time.
     """
     state, problem = bundle.state(), bundle.problem()
@@ -39,16 +38,16 @@ def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """What each match does for the pose.
+    """The effect of each match on the pose.
 
     Attributes:
-        change: ``(*B, N, 5)`` how the pose would move if the match were dropped, radians, (rotation
-            vector, t's tangent).
+        change: ``(*B, N, 5)`` change of the pose if the match were left out, radians (rotation
+            vector, tangent of t).
         leverage: ``(*B, N)`` share of its own residual that a match decides, in [0, 1]; they sum to
-            the number of camera unknowns. High leverage: the pose follows this match whatever the
+            the number of camera unknowns. The pose follows a match of high leverage whatever the
             others say.
-        cook: ``(*B, N)`` Cook's distance, `change` in units of the pose's uncertainty, squared and
-            per unknown; above about ``4 / N`` deserves a look.
+        cook: ``(*B, N)`` Cook's distance, the square of `change` in units of the uncertainty of the
+            pose, per unknown; values above about ``4 / N`` need attention.
     """
 
     change: Tensor
@@ -57,12 +56,15 @@ class Influence:
 
 
 def influence(bundle: TwoViewBundle) -> Influence:
-    """The influence of each match on the pose, to first order and without refitting.
+    """Return the influence of each match on the pose, without refitting.
 
-    Once its point is eliminated a match is one equation for the camera, so that the exact formulas
-    of linear regression for leaving out one row apply to the linearised problem.
+    `change` is one Newton step of the problem without the match, with the exact Hessian (curvature
+    of the loss and of the projection included): leaving out a match whose point has been eliminated
+    subtracts one ``m x m`` term from the reduced camera matrix. `leverage` is that of the weighted
+    least-squares problem at the minimum.
 
-    Source: Cook, Detection of influential observations in linear regression, Technometrics 1977.
+    Source: Cook, Detection of influential observations in linear regression, Technometrics 1977;
+    Pregibon, Logistic regression diagnostics, Annals of Statistics 1981 (the one-step change).
     """
     state, problem = bundle.state(), bundle.problem()
     system = linearise(state, problem)
@@ -72,16 +74,31 @@ def influence(bundle: TwoViewBundle) -> Influence:
         "...jrn,...krn->...njk", Z, Z
     )
     leverage = torch.linalg.solve(system.S[..., None, :, :], own).diagonal(dim1=-2, dim2=-1).sum(-1)
-    # The point absorbs the rest of the residual: at the minimum J_y^T r = 0.
-    pull = torch.einsum("...rjn,...rn->...jn", camera, r)
-    kept = 1 - leverage
-    change = (
-        torch.linalg.solve(system.S, pull).mT / torch.where(kept > 1e-9, kept, torch.inf)[..., None]
-    )
+    # The gradient of one match; that with respect to its point is zero at the minimum.
+    pull = torch.einsum("...rjn,...rn->...nj", camera, r)
+    each = hessian(*_one_problem_per_match(state, problem)).camera
+    rest = each.sum(-3, keepdim=True) - each
+    change = torch.linalg.solve_ex(rest, pull[..., None])[0][..., 0]
     spread = torch.einsum("...nj,...jk,...nk->...n", change, system.S, change)
     variance = (r * r).sum((-1, -2)) / ((bundle.weights > 0).sum(-1) - problem.size).clamp_min(1)
     cook = spread / (problem.size * variance[..., None].clamp_min(torch.finfo(r.dtype).tiny))
     return Influence(change[..., :5], leverage, cook)
+
+
+def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Problem]:
+    """Return the same problem as a batch ``(*B, N)`` of problems with one match each."""
+    x1, x2, weights, K1, K2 = problem.data
+    N = x1.shape[-2]
+    R, t, log_focal = (
+        a.unsqueeze(axis).expand(*a.shape[: axis + 1], N, *a.shape[axis + 1 :])
+        for a, axis in ((state.R, -3), (state.t, -2), (state.log_focal, -2))
+    )
+    u, v, w = (a[..., None] for a in state.y)
+    data = (x1[..., None, :], x2[..., None, :], weights[..., None])
+    cameras = (K[..., None, :, :] for K in (K1, K2))
+    return State(R, t, log_focal, (u, v, w)), Problem(
+        *data, *cameras, problem.loss, problem.scale, problem.focal
+    )
 
 
 def _rows(J: Jacobian) -> tuple[Tensor, Tensor, Tensor]:

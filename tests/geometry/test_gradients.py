@@ -22,8 +22,6 @@ from sfmkit.geometry.coordinates import (
 )
 from sfmkit.geometry.essential import essential_from_pose
 from sfmkit.geometry.fundamental import squared_sampson_distance
-from sfmkit.geometry.homography import homography_from_pose, transfer
-from sfmkit.geometry.homography_refinement import refine_homography
 from sfmkit.geometry.lie import hat, so3_exp
 from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
 from sfmkit.geometry.pose import relative_pose
@@ -120,30 +118,6 @@ def test_a_batch_is_its_members_and_single_precision_is_near(name):
         torch.testing.assert_close(
             rough.double(), one, rtol=1e-3, atol=1e-3 * float(one.abs().max())
         )
-
-
-@pytest.mark.grad
-def test_a_refined_homography_is_differentiated_through_its_maximum():
-    s = make_scene(14, noise=0.4, planar=True)
-    start = homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2)
-    w = torch.linspace(0.5, 1.5, 14, dtype=torch.float64)
-
-    def where(
-        x1, x2, w
-    ):  # where the image's corners go, pixels: the entries of H differ by orders of magnitude
-        H = refine_homography(start, x1, x2, w, threshold_px=5.0, max_iterations=60)
-        corners = torch.tensor([[0.0, 0], [640, 0], [640, 480], [0, 480]], dtype=torch.float64)
-        return transfer(H, corners)
-
-    values = tuple(v.clone().requires_grad_() for v in (s.x1, s.x2, w))
-    # The search stops within 1e-7 of the best score, so the differences themselves are good to a
-    # percent.
-    assert torch.autograd.gradcheck(where, values, eps=1e-4, atol=6e-3, rtol=1e-2)
-    plain = refine_homography(start, s.x1, s.x2, w, threshold_px=5.0, max_iterations=60)
-    traced = refine_homography(start, *values, threshold_px=5.0, max_iterations=60)
-    assert (
-        float((transfer(traced.detach(), s.x1) - transfer(plain, s.x1)).norm(dim=-1).max()) < 0.01
-    )  # pixels
 
 
 ONE_GRADIENT = {

@@ -8,7 +8,7 @@ import torch
 from made_up_scene import make_scene
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from torch.autograd import gradcheck
+from torch.autograd import gradcheck, gradgradcheck
 
 from sfmkit.errors import DegenerateGeometryError, InputError
 from sfmkit.geometry.fundamental import fundamental_from_pose, signed_sampson_distance
@@ -115,7 +115,11 @@ def test_derivatives_of_the_minimum(loss):
         )
         return fit.R, fit.t
 
-    assert gradcheck(lambda *a: pose(*a, s.K1), (x1, x2, w), atol=1e-5, fast_mode=True)
+    values = (x1, x2, w)
+    assert gradcheck(lambda *a: pose(*a, s.K1), values, atol=1e-5, fast_mode=True)
+    assert gradgradcheck(
+        lambda *a: pose(*a, s.K1), values, eps=1e-4, atol=1e-5, rtol=1e-3, fast_mode=True
+    )
     x1, x2 = x1.detach(), x2.detach()
     one = torch.func.jacrev(lambda x: pose(x, x2, w.detach(), s.K1)[1])(x1)
     assert one.shape == (3, 12, 2)

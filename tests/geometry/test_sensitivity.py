@@ -1,4 +1,4 @@
-"""Sensitivity against automatic differentiation, influence against leaving a match out."""
+"""Sensitivity compared with automatic differentiation, influence with refits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ D = torch.float64
 
 @pytest.mark.grad
 @pytest.mark.parametrize("loss, scale", [("squared", 1.0), ("cauchy", 0.7)])
-def test_sensitivity_is_the_derivative(loss, scale):
+def test_sensitivity_agrees_with_autograd(loss, scale):
     s = make_scene(12, noise=0.3)
     options = {"loss": loss, "loss_scale": scale, "max_iterations": 100}
     w = torch.linspace(0.5, 2, 12, dtype=D)
@@ -31,22 +31,29 @@ def test_sensitivity_is_the_derivative(loss, scale):
     torch.testing.assert_close(pose_sensitivity(b), expected, rtol=1e-3, atol=1e-7)
 
 
-def test_influence_is_what_leaving_out_does():
+@pytest.mark.parametrize("loss, scale", [("squared", 1.0), ("huber", 0.5), ("cauchy", 0.5)])
+def test_influence_agrees_with_refits_without_the_match(loss, scale):
     s = make_scene(60, noise=0.5)
     s.x2[7] += torch.tensor([4.0, -3.0])
-    b = bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t)
+    options = {"loss": loss, "loss_scale": scale, "max_iterations": 100}
+    b = bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, **options)
     found = influence(b)
-    assert int(found.cook.argmax()) == 7
+    if loss == "squared":
+        assert int(found.cook.argmax()) == 7
     assert float(found.leverage.sum()) == pytest.approx(5)
     assert bool(((found.leverage > 0) & (found.leverage < 1)).all())
-    for k in (7, 20, 33):
+    errors = []
+    for k in range(1, 60, 6):
         kept = torch.arange(60) != k
-        without = bundle_adjust(s.x1[kept], s.x2[kept], s.K1, s.K2, b.R, b.t)
+        without = bundle_adjust(s.x1[kept], s.x2[kept], s.K1, s.K2, b.R, b.t, **options)
         change = torch.cat((so3_log(without.R @ b.R.T), tangent_basis(b.t).T @ without.t))
-        assert float((found.change[k] - change).norm()) < 0.1 * float(change.norm())
+        errors.append(float((found.change[k] - change).norm() / change.norm()))
+    # One step of a non-linear problem; without the curvature of the loss it is off by 20 to 30 %.
+    assert sorted(errors)[5] < 0.06
+    assert max(errors) < 0.25
 
 
-def test_a_batch_is_its_items():
+def test_a_batch_agrees_with_its_items():
     scenes = [make_scene(12, noise=0.5, seed=k) for k in range(2)]
     data = [(s.x1, s.x2, s.K1, s.K2, s.R, s.t) for s in scenes]
     together = bundle_adjust(*(torch.stack(a) for a in zip(*data)))
