@@ -14,8 +14,7 @@ from torch import Tensor
 
 from ._implicit import Tensors, gradient_pullback, unit_steps
 from ._rays import Vector
-from ._two_view_problem import FREE_FOCALS, Focal, Problem, State
-from .losses import Loss
+from ._two_view_problem import Problem, State
 
 
 class Hessian(NamedTuple):
@@ -41,37 +40,33 @@ class Hessian(NamedTuple):
 class BundleObjective(NamedTuple):
     """Bundle adjustment over (R, t, log focal scales, points); steps are (camera, points)."""
 
-    loss: Loss
-    scale: float
-    focal: Focal
+    problem: Problem  # its data are replaced
 
     def zero(self, unknowns: Tensors) -> Tensors:
         _, t, _, y = unknowns
-        m = 5 + FREE_FOCALS[self.focal]
-        return torch.zeros_like(t[..., :1]).repeat_interleave(m, -1), torch.zeros_like(y)
+        camera = torch.zeros_like(t[..., :1]).repeat_interleave(self.problem.size, -1)
+        return camera, torch.zeros_like(y)
 
     def move(self, unknowns: Tensors, step: Tensors) -> Tensors:
         camera, points = step
-        # Moving needs no data.
-        problem = Problem(*([points] * 5), self.loss, self.scale, self.focal)
-        moved = problem.move(from_unknowns(unknowns), camera, _vector(points))
+        moved = self.problem.move(from_unknowns(unknowns), camera, _vector(points))
         # torch.func.vjp fails inside jacrev where an output does not depend on the inputs.
         return to_unknowns(moved._replace(log_focal=moved.log_focal + 0 * camera[..., :1]))
 
     def cost(self, unknowns: Tensors, data: Tensors) -> Tensor:
-        problem = Problem(*data, self.loss, self.scale, self.focal)
-        return problem.cost(from_unknowns(unknowns))
+        return self.problem.with_data(data).cost(from_unknowns(unknowns))
 
     def solve(self, product: Callable[..., Tensors], g: Tensors) -> Tensors:
-        return _blocks(product, *g).solve(*g)
+        camera, points = g
+        return _blocks(product, camera, points).solve(camera, points)
 
 
 def hessian(state: State, problem: Problem) -> Hessian:
     """Return the blocks of the exact Hessian at a state."""
-    objective = BundleObjective(problem.loss, problem.scale, problem.focal)
-    unknowns = to_unknowns(state)
+    objective, unknowns = BundleObjective(problem), to_unknowns(state)
     pullback = gradient_pullback(objective, unknowns, problem.data)
-    return _blocks(lambda *step: pullback(step)[0], *objective.zero(unknowns))
+    camera, points = objective.zero(unknowns)
+    return _blocks(lambda *step: pullback(step)[0], camera, points)
 
 
 def _blocks(product: Callable[..., Tensors], camera: Tensor, points: Tensor) -> Hessian:

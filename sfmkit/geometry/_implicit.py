@@ -90,7 +90,7 @@ def gradient_pullback(
     def slope(step: Tensors, data: Tensors) -> Tensors:
         return gradient(objective, unknowns, data, step)
 
-    _, pullback = torch.func.vjp(slope, objective.zero(unknowns), data)
+    _, pullback = torch.func.vjp(slope, objective.zero(unknowns), data)  # type: ignore[misc]
     return pullback  # type: ignore[no-any-return]
 
 
@@ -112,7 +112,8 @@ class _Minimum(torch.autograd.Function):
         objective = ctx.objective
         unknowns, data = ctx.saved_tensors[: ctx.n], ctx.saved_tensors[ctx.n :]
         zero = objective.zero(unknowns)
-        _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)
+        moved = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)
+        chart = moved[1]
         pullback = gradient_pullback(objective, unknowns, data)
         solved = objective.solve(lambda *step: pullback(step)[0], chart(grads))
         _, by_data = pullback(solved)

@@ -17,7 +17,7 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -64,7 +64,12 @@ class Problem:
 
     def detached(self) -> Problem:
         """Return the same problem without its graph."""
-        return Problem(*(a.detach() for a in self.data), self.loss, self.scale, self.focal)
+        return self.with_data([a.detach() for a in self.data])
+
+    def with_data(self, data: Sequence[Tensor]) -> Problem:
+        """Return the same problem for other x1, x2, weights, K1 and K2."""
+        x1, x2, weights, K1, K2 = data
+        return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
 
     def part(self, rows: slice) -> Problem:
         """The problem of some of the matches."""

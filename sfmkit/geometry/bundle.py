@@ -165,7 +165,7 @@ def bundle_adjust(
     found = _minimise(state, fixed, max_iterations, _POLISH if differentiated else 0)
     state = found.state
     if differentiated:
-        objective = BundleObjective(loss, loss_scale, focal)
+        objective = BundleObjective(fixed)
         state = from_unknowns(attach_derivatives(objective, to_unknowns(state), problem.data))
     f1, f2 = state.log_focal.exp().unbind(-1)
     kind = x1.dtype

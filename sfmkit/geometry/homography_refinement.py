@@ -182,7 +182,8 @@ def _minimise(
         scaled = damping[..., None] * N.diagonal(dim1=-2, dim2=-1)
         N = N + torch.diag_embed(scaled + torch.finfo(N.dtype).tiny)
         step = -torch.linalg.solve_ex(N, g[..., None])[0][..., 0]
-        trial = objective.evaluate(*objective.move((now.G,), (step,)), x1, x2)
+        (G,) = objective.move((now.G,), (step,))
+        trial = objective.evaluate(G, x1, x2)
         count = (trial.square < objective.threshold**2).sum(-1)
         cost = torch.where(count >= _LEAST_MATCHES, _total(trial, w), torch.inf)
         return Trial(trial, cost, -(step * g).sum(-1))

@@ -94,11 +94,9 @@ def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Probl
         for a, axis in ((state.R, -3), (state.t, -2), (state.log_focal, -2))
     )
     u, v, w = (a[..., None] for a in state.y)
-    data = (x1[..., None, :], x2[..., None, :], weights[..., None])
-    cameras = (K[..., None, :, :] for K in (K1, K2))
-    return State(R, t, log_focal, (u, v, w)), Problem(
-        *data, *cameras, problem.loss, problem.scale, problem.focal
-    )
+    data = (x1[..., None, :], x2[..., None, :], weights[..., None], K1[..., None, :, :])
+    each = problem.with_data((*data, K2[..., None, :, :]))
+    return State(R, t, log_focal, (u, v, w)), each
 
 
 def _rows(J: Jacobian) -> tuple[Tensor, Tensor, Tensor]:
