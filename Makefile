@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 EXTRAS := notebook,peers,cluster,browser,docs,dev
 
-.PHONY: demo test lab docs report lint types build clean env
+.PHONY: demo test fuzz lab docs report lint types build clean env
 
 env: $(READY)
 
@@ -29,6 +29,13 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest
+
+# Mutated inputs of every kind that is read; a finding is saved and replayed with REPLAY=KIND-NUMBER.
+INPUTS ?= 20000
+SEED ?= 0
+
+fuzz: $(READY)
+	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs $(INPUTS) --seed $(SEED) $(if $(REPLAY),--replay $(REPLAY))
 
 lab: $(READY)
 	$(BIN)/sfmkit lab
