@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import collections
 import sys
-import tempfile
 import time
 from pathlib import Path
 
-from fuzz.engine import Ending, Kind, endings, make_input
+from fuzz.engine import Ending, Kind, endings, make_input, seeds_of
 from fuzz.kinds import KINDS
 
 
@@ -66,8 +65,7 @@ def place(ending: Ending) -> str:
 def save(kind: Kind, ending: Ending, out: Path) -> None:
     """Save a failing input with its traceback."""
     out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
-        data = make_input(kind, ending.number, kind.seeds(Path(folder)))
+    data = make_input(kind, ending.number, seeds_of(kind))
     name = f"{kind.name}-{ending.number}"
     (out / f"{name}.input").write_bytes(data)
     (out / f"{name}.txt").write_text(f"{ending.outcome}\n{ending.details}\n", errors="replace")

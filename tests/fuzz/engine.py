@@ -19,6 +19,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -75,12 +76,18 @@ def make_input(kind: Kind, number: int, seeds: list[bytes]) -> bytes:
     return kind.mutate(Random(f"{kind.name}-{number}"), seeds)
 
 
+@cache
+def seeds_of(kind: Kind) -> list[bytes]:
+    """The valid inputs of a kind."""
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        return kind.seeds(Path(folder))
+
+
 def endings(kind: Kind, numbers: range) -> Iterator[Ending]:
     """Run the inputs with these numbers; a child process that dies is replaced."""
+    seeds = seeds_of(kind)
     scratch = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
-        (scratch / "seeds").mkdir()
-        seeds = kind.seeds(scratch / "seeds")
         todo = list(numbers)
         while todo:
             for ending in _in_child(kind, todo, seeds, scratch):
@@ -172,6 +179,8 @@ def _judge(kind: Kind, data: bytes, folder: Path) -> tuple[str, str]:
         return ("refused", "") if str(error).strip() else ("no message", repr(error))
     except _Hang:
         return "hang", traceback.format_exc()
+    except MemoryError:
+        return "memory", traceback.format_exc()
     except BaseException as error:
         signal.alarm(0)
         return type(error).__name__, traceback.format_exc()

@@ -24,12 +24,9 @@ def test_every_input_is_accepted_or_refused_with_a_message(name):
     found = list(endings(KINDS[name], range(INPUTS)))
     assert [ending.number for ending in found] == list(range(INPUTS))
     assert [ending for ending in found if ending.is_finding] == []
-
-
-@pytest.mark.parametrize("name", sorted(set(KINDS) - {"tensors", "arrays", "images"}))
-def test_the_seeds_are_valid(name, tmp_path):
-    seeds = KINDS[name].seeds(tmp_path)
-    assert [e.outcome for e in endings(KINDS[name], range(len(seeds)))] == ["accepted"] * len(seeds)
+    if name != "images":  # one of whose seeds is PostScript
+        valid = found[: len(engine.seeds_of(KINDS[name]))]
+        assert [ending for ending in valid if ending.outcome != "accepted"] == []
 
 
 def misbehave(data: bytes, folder: Path) -> None:
@@ -58,6 +55,6 @@ def test_findings_are_noticed(monkeypatch):
     for file in Path(engine.tempfile.gettempdir()).glob("outside-*"):
         file.unlink()
     assert [ending.outcome for ending in found] == [
-        *("accepted", "KeyError", "hang", "crash", "_ArrayMemoryError", "wrote outside"),
+        *("accepted", "KeyError", "hang", "crash", "memory", "wrote outside"),
         *("no message", "accepted"),
     ]

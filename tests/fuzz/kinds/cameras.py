@@ -54,20 +54,20 @@ def _mutate(random: Random, seeds: list[bytes]) -> bytes:
 
 
 def _intrinsics(data: bytes, folder: Path) -> None:
-    from sfmkit.io.cameras import parse_intrinsics
+    from sfmkit.io.intrinsics import parse_intrinsics
 
     for suffix in SUFFIXES[len(data) % len(SUFFIXES) :][:2]:
         parse_intrinsics(write(folder / f"K{suffix}", data), (640, 480))
 
 
 def _text(data: bytes, folder: Path) -> None:
-    from sfmkit.io.cameras import parse_intrinsics
+    from sfmkit.io.intrinsics import parse_intrinsics
 
     parse_intrinsics(data.decode("utf-8", "surrogateescape"), (640, 480))
 
 
 def _truth(data: bytes, folder: Path) -> None:
-    from sfmkit.io.cameras import read_truth
+    from sfmkit.io.truth import read_truth
 
     if data.lstrip()[:1] in (b"{", b"["):
         read_truth(write(folder / "truth.json", data))

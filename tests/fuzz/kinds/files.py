@@ -38,7 +38,9 @@ def _recordings(folder: Path) -> list[bytes]:
 
     from sfmkit.recording import save_recording
 
-    save_recording(folder / "seed.rrd", make_result(points=20, outliers=5, lonely=5))
+    save_recording(
+        folder / "seed.rrd", make_result(points=20, outliers=5, lonely=5, size_wh=(160, 120))
+    )
     return [(folder / "seed.rrd").read_bytes()]
 
 

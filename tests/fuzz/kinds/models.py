@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 from random import Random
 
+import cv2
 import numpy as np
 from fuzz.engine import Kind, write
 from fuzz.mutations import choose, mutate_bytes, mutate_text
@@ -20,9 +21,12 @@ TEXT = (
 SEPARATOR = b"\n--8<--\n"
 BINARY = (
     struct.pack("<QIiQQ4d", 1, 1, 1, 640, 480, 500, 500, 319.5, 239.5),
-    struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 0, 1)
+    struct.pack("<QI7dI", 2, 1, 1, 0, 0, 0, 0, 0, 0, 1)
     + b"a.png\0"
-    + struct.pack("<Qddq", 1, 10.0, 20.0, 7),
+    + struct.pack("<Qddq", 1, 10.0, 20.0, 7)
+    + struct.pack("<I7dI", 2, 1, 0, 0, 0, 1, 0, 0, 1)
+    + b"c.png\0"
+    + struct.pack("<Q", 0),
     struct.pack("<QQ3d3BdQII", 1, 7, 1, 2, 3, 255, 0, 9, 0.5, 1, 1, 0),
 )
 
@@ -40,6 +44,9 @@ def _model(suffix: str):
         from sfmkit.datasets.colmap import colmap
         from sfmkit.io.colmap import read_colmap
 
+        (folder / "images").mkdir()
+        for name in ("a.png", "a b.png", "c.png"):
+            cv2.imwrite(str(folder / "images" / name), np.zeros((48, 64), np.uint8))
         for name, part in zip(FILES, data.split(SEPARATOR), strict=False):
             write(folder / f"{name}{suffix}", part)
         model = read_colmap(folder)
