@@ -131,8 +131,11 @@ def _in_child(kind: Kind, todo: list[int], seeds: list[bytes], scratch: Path) ->
 
 def _serve(kind: Kind, todo: list[int], seeds: list[bytes], scratch: Path, answers: int) -> None:
     """The child: run each input in a folder of its own, under the limits."""
+    import faulthandler
+
     import torch
 
+    faulthandler.disable()  # pytest enables it; a crash is reported by the parent
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
