@@ -1,0 +1,91 @@
+"""Do neighbouring matches keep their orientation, or was one of the photographs mirrored?
+
+No motion of a camera mirrors a scene: three neighbouring points of a surface that face the camera
+in both photographs are met in the same order, clockwise or not. Between a photograph and its mirror
+image the order is reversed, and parallel epipolar lines fit the matches perfectly all the same, so
+that the number of inliers says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+from torch import Tensor
+
+# A triangle whose height is below this many pixels may be turned over by noise alone.
+_HEIGHT_PX = 3.0
+# Correct pairs measured: 0 to 6 % reversed (Oxford, fountain, temple ring neighbours). Photographs
+# against their mirror images: 52 to 76 %. Matches of unrelated points: half.
+MOST_REVERSED = 0.35
+
+
+@dataclass(frozen=True)
+class Handedness:
+    """Orientation of the triangles between neighbouring matches.
+
+    Attributes:
+        kept: triangles with the same orientation in both images.
+        reversed: triangles with opposite orientations.
+    """
+
+    kept: int
+    reversed: int
+
+    @property
+    def share_kept(self) -> float:
+        """Share of the triangles that keep their orientation; NaN where there are none."""
+        count = self.kept + self.reversed
+        return self.kept / count if count else math.nan
+
+    @property
+    def inconsistent(self) -> bool:
+        """Whether more triangles are reversed than any view of one scene reverses.
+
+        A one-sided test at 1 % against a share of :data:`MOST_REVERSED`. The triangles share their
+        points; half of them, about one per point, count as independent.
+        """
+        count = self.kept + self.reversed
+        spread = math.sqrt(2 * count * MOST_REVERSED * (1 - MOST_REVERSED))
+        return self.reversed - MOST_REVERSED * count > 2.33 * spread
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it is inconsistent and most triangles are reversed."""
+        return self.inconsistent and self.share_kept < 0.5
+
+
+def handedness(x1: Tensor, x2: Tensor) -> Handedness:
+    """Count the triangles of neighbouring matches that keep and that reverse their orientation.
+
+    Args:
+        x1, x2: (N, 2) pixels of the inliers. The triangles are those of the Delaunay triangulation
+            of x1, without those that are flat in either image.
+    """
+    a, b = (np.asarray(x.detach().cpu(), dtype=np.float64) for x in (x1, x2))
+    _, first = np.unique(np.round(a, 3), axis=0, return_index=True)
+    a, b = a[first], b[first]
+    if len(a) < 4:
+        return Handedness(0, 0)
+    try:
+        corners = Delaunay(a).simplices
+    except QhullError:  # all on one line
+        return Handedness(0, 0)
+    area1, area2 = _signed_area(a[corners]), _signed_area(b[corners])
+    clear = np.minimum(_height(a[corners], area1), _height(b[corners], area2)) > _HEIGHT_PX
+    kept = int((area1[clear] * area2[clear] > 0).sum())
+    return Handedness(kept, int(clear.sum()) - kept)
+
+
+def _signed_area(triangles: np.ndarray) -> np.ndarray:
+    """(T,) of (T, 3, 2) corners."""
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
+
+
+def _height(triangles: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """(T,) the least height: twice the area over the longest side."""
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+    return 2 * np.abs(area) / np.maximum(sides.max(axis=1), 1e-12)
