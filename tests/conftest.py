@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 
@@ -23,6 +25,26 @@ def data_dir() -> Path:
     if not path.is_dir():
         pytest.fail(f"SFMKIT_DATA={folder} is not a folder")
     return path
+
+
+@pytest.fixture(scope="session")
+def demo_images() -> tuple[Path, Path]:
+    """The bundled pair."""
+    from sfmkit.datasets.synthetic import demo_pair
+
+    return demo_pair()[:2]
+
+
+@pytest.fixture(scope="session")
+def demo_fundamental() -> np.ndarray:
+    """(3, 3) true fundamental matrix of the bundled pair, in pixels."""
+    from sfmkit.datasets.synthetic import demo_pair
+
+    truth = json.loads(demo_pair()[2].read_text())
+    R, t, K = (np.array(truth[name]) for name in ("R", "t", "K"))
+    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+    inverse = np.linalg.inv(K)
+    return inverse.T @ cross @ R @ inverse
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

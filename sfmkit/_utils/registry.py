@@ -151,7 +151,8 @@ class Registry(Generic[T]):
         top-level package, or the module alone where it is a single file.
         """
         if self.is_built_in(name):
-            return f"sfmkit {__version__}"
+            data = getattr(self[name], "provenance", None)  # of files, such as network weights
+            return f"sfmkit {__version__}" + (f" {data()}" if data else "")
         module, qualname = _place(self._code(self[name]))
         top = module.split(".")[0]
         distributions = packages_distributions().get(top, [])

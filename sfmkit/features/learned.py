@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from ..errors import InputError
 from ..types import Features
-from .weights import WEIGHTS, find_weights, how_to_get, load_weights
+from .weights import WEIGHTS, find_weights, how_to_get, load_weights, weights_digest
 
 # (1, 3, H, W) in [0, 1] -> pixels (N, 2), scores (N,), descriptors (N, D)
 Network = Callable[..., tuple[Tensor, Tensor, Tensor]]
@@ -58,6 +58,10 @@ class LearnedOperator:
     def licence(self) -> str:
         """Licence of the network's code and weights."""
         return f"Apache-2.0 (kornia); weights {WEIGHTS[self.weights].licence}"
+
+    def provenance(self) -> str:
+        """What identifies the weights; part of cache keys and reports."""
+        return f"{self.weights} sha256:{weights_digest(self.weights)}"
 
     def available(self) -> tuple[bool, str]:
         """Whether the weights are on this machine, and if not, how to get them."""
@@ -105,7 +109,13 @@ class LearnedOperator:
         )
 
     def _features(
-        self, xy: np.ndarray, scores: np.ndarray, descriptors: np.ndarray, ratio: float, w: int, h: int
+        self,
+        xy: np.ndarray,
+        scores: np.ndarray,
+        descriptors: np.ndarray,
+        ratio: float,
+        w: int,
+        h: int,
     ) -> Features:
         size = np.full(len(xy), _CELL * ratio, dtype=np.float32)
         upright = np.zeros(len(xy), dtype=np.float32)

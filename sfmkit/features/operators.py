@@ -11,8 +11,8 @@ import numpy as np
 
 from ..errors import InputError, OperatorError
 from ..types import Features
-from . import builtin
 from .builtin import BuiltInOperator
+from .learned import LearnedOperator
 from .plugins import OPERATOR_PLUGINS, run_operator
 from .selection import select_evenly
 
@@ -169,9 +169,8 @@ def available(name: str) -> tuple[bool, str]:
     Raises:
         OperatorError: no such operator.
     """
-    operator = OPERATOR_PLUGINS[name]
-    spec = getattr(operator, "spec", None)
-    return (True, "") if spec is None else builtin.available(spec)
+    check = getattr(OPERATOR_PLUGINS[name], "available", None)
+    return (True, "") if check is None else check()
 
 
 def list_operators() -> list[OperatorInfo]:
@@ -184,9 +183,9 @@ def _info(name: str) -> OperatorInfo:
         operator = OPERATOR_PLUGINS[name]
     except OperatorError as error:  # an entry point that cannot be loaded
         return OperatorInfo(name, "?", "?", False, str(error), "?", "")
-    if isinstance(operator, BuiltInOperator):
-        spec = operator.spec
-        usable, reason = builtin.available(spec)
+    if isinstance(operator, (BuiltInOperator, LearnedOperator)):
+        spec = operator.spec if isinstance(operator, BuiltInOperator) else operator
+        usable, reason = operator.available()
         width = f"{spec.width} {'bits' if spec.norm == 'hamming' else 'floats'}"
         return OperatorInfo(name, spec.norm, width, usable, reason, spec.licence, spec.summary)
     summary = (operator.__doc__ or "").strip().partition("\n")[0]

@@ -13,6 +13,7 @@ from ..errors import OperatorError
 from ..types import Features
 from .affine import AFFINE, AffineOperator
 from .builtin import BuiltInOperator
+from .learned import LEARNED, LearnedOperator
 from .tables import DESCRIPTORS, DETECTORS, LEFT_OUT, OPERATORS, find_spec
 
 F = TypeVar("F", bound=Callable)
@@ -90,7 +91,7 @@ class OperatorRegistry(Registry[Callable[..., Features]]):
             OperatorError: there is no such operator.
         """
         plugin = self[name]
-        if isinstance(plugin, (BuiltInOperator, AffineOperator)):
+        if isinstance(plugin, (BuiltInOperator, AffineOperator, LearnedOperator)):
             return dict(plugin.options)
         parameters = list(inspect.signature(plugin).parameters.values())[1:]
         return {
@@ -111,6 +112,8 @@ class OperatorRegistry(Registry[Callable[..., Features]]):
 OPERATOR_PLUGINS = OperatorRegistry("operator", "sfmkit.operators", OperatorError)
 for _spec in OPERATORS.values():
     OPERATOR_PLUGINS.register(_spec.name, BuiltInOperator(_spec))
+for _learned in LEARNED.values():
+    OPERATOR_PLUGINS.register(_learned.name, _learned)
 
 
 def register_operator(name: str, operator: F) -> F:

@@ -119,7 +119,6 @@ class OperatorSpec:
         options: every option with our default.
         paper, dense: what replaces the defaults in the presets of these names.
         licence: of the implementation, and patents (facts only).
-        requires: the extra that has to be installed; None for none.
         summary: one line.
     """
 
@@ -132,7 +131,6 @@ class OperatorSpec:
     paper: Options = field(default_factory=dict)
     dense: Options = field(default_factory=dict)
     licence: str = OPENCV
-    requires: str | None = None
     summary: str = ""
 
     @property
@@ -230,14 +228,6 @@ DETECTORS: Mapping[str, DetectorSpec] = {
             "min_diversity": 0.2,
         },
     ),
-    "xfeat": DetectorSpec(
-        None,
-        {"top_k": 4096, "detection_threshold": 0.05},
-        function="learned:xfeat",
-        only_with="xfeat",
-        why="xfeat's keypoints have no size to describe a patch by",
-        licence="Apache-2.0 (code and weights)",
-    ),
 }
 
 # The options that say how faint a keypoint may be, and how many there are: the preset ``dense``
@@ -254,13 +244,11 @@ FAINTEST: Mapping[str, str] = {
     "kaze": "threshold",
     "brisk": "thresh",
     "star": "responseThreshold",
-    "xfeat": "detection_threshold",
 }
 MOST: Mapping[str, str] = {
     "orb": "nfeatures",
     "harris": "maxCorners",
     "gftt": "maxCorners",
-    "xfeat": "top_k",
 }
 
 _LEVELS = "it reads scale levels that only its own detector computes"
@@ -336,9 +324,6 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         "xfeatures2d.AKAZE_create", "hamming", 488, only_with="akaze", why=_LEVELS
     ),
     "kaze": DescriptorSpec("xfeatures2d.KAZE_create", "l2", 64, only_with="kaze", why=_LEVELS),
-    "xfeat": DescriptorSpec(
-        None, "l2", 64, only_with="xfeat", why="one network finds and describes"
-    ),
 }
 
 # Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an
@@ -351,9 +336,7 @@ LEFT_OUT: Mapping[str, str] = {
 }
 
 
-def _pair(
-    detector: str, descriptor: str, name: str, summary: str, requires: str | None = None
-) -> OperatorSpec:
+def _pair(detector: str, descriptor: str, name: str, summary: str) -> OperatorSpec:
     """An operator from its two rows; a name that both use is the detector's option."""
     where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
     native = detector == (what.native or descriptor)
@@ -380,7 +363,6 @@ def _pair(
         paper,
         dense,
         "; ".join(licences),
-        requires,
         summary,
     )
 
@@ -441,13 +423,6 @@ OPERATORS: Mapping[str, OperatorSpec] = {
             "brief",
             "gftt-brief",
             "corners of the smaller eigenvalue (Shi & Tomasi 1994), BRIEF bits",
-        ),
-        _pair(
-            "xfeat",
-            "xfeat",
-            "xfeat",
-            "learned keypoints and descriptors (Potje et al. 2024)",
-            requires="learned",
         ),
     )
 }

