@@ -25,6 +25,7 @@ COMMANDS = {
     "reconstruct": ("reconstruct", "reconstruct"),
     "demo": ("reconstruct", "demo"),
     "operators": ("reconstruct", "operators"),
+    "matchers": ("matchers", "matchers"),
     "inspect": ("inspect", "inspect"),
     "view": ("inspect", "view"),
     "data": ("data", "data"),

@@ -14,6 +14,7 @@ from ..pipeline.account import ALL
 
 if TYPE_CHECKING:
     from ..features import OperatorInfo
+    from ..matching import MatcherInfo
     from ..reports.result import Result
 
 _PRINTED_FILES = (
@@ -106,6 +107,16 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             files.add_row(str(folder / name), what)
     console.print()
     console.print(files)
+
+
+def print_matchers(rows: list[MatcherInfo]) -> None:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("matcher", "for operators", "available", "licence", "what it is"):
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        available = "yes" if row.available else row.reason
+        table.add_row(row.name, row.operators, available, row.licence, row.summary)
+    wide_console().print(table)
 
 
 def print_operators(rows: list[OperatorInfo]) -> None:

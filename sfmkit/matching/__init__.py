@@ -3,13 +3,23 @@
 from .fusion import fuse
 from .guided import match_guided
 from .nearest import match
-from .plugins import MATCHER_PLUGINS, Matcher, choose_matchers, register_matcher, run_matcher
+from .plugins import (
+    MATCHER_PLUGINS,
+    Matcher,
+    MatcherInfo,
+    choose_matchers,
+    list_matchers,
+    register_matcher,
+    run_matcher,
+)
 
 __all__ = [
     "MATCHER_PLUGINS",
     "Matcher",
+    "MatcherInfo",
     "choose_matchers",
     "fuse",
+    "list_matchers",
     "match",
     "match_guided",
     "register_matcher",

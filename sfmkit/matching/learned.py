@@ -24,6 +24,10 @@ TRAINED_FOR = ("aliked", "disk", "xfeat", "sift")
 class LightGlueMatcher:
     """LightGlue as a matcher; see :class:`sfmkit.matching.plugins.Matcher`."""
 
+    operators = ", ".join(TRAINED_FOR)
+    licence = "Apache-2.0 (kornia and weights)"
+    summary = "attention network that matches both images jointly (Lindenberger et al. 2023)"
+
     def available(self) -> tuple[bool, str]:
         """Whether any of the weights are on this machine, and if not, how to get some."""
         if any(find_weights(f"lightglue-{name}") for name in TRAINED_FOR):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from .._utils.registry import Registry, accepted
+from ..errors import InputError
 from ..options import MatchOptions
 from ..types import Features, Matches
 from .learned import lightglue
@@ -131,3 +133,45 @@ def _fault(found: Any, n1: int, n2: int) -> str:
     if len(np.unique(pairs)) < len(pairs):
         return "a pair of features occurs more than once"
     return ""
+
+
+@dataclass(frozen=True)
+class MatcherInfo:
+    """One line of the table of matchers.
+
+    Attributes:
+        name: As in ``matchers=`` and ``--matcher``.
+        operators: The operators whose features it matches, in words.
+        available, reason: Whether it can run here, and if not, what to install.
+        licence: Of code and weights; for a plug-in, what identifies its code.
+        summary: What it is.
+    """
+
+    name: str
+    operators: str
+    available: bool
+    reason: str
+    licence: str
+    summary: str
+
+
+def list_matchers() -> list[MatcherInfo]:
+    """Every matcher that has a name here, for a table."""
+    return [_info(name) for name in MATCHER_PLUGINS]
+
+
+def _info(name: str) -> MatcherInfo:
+    try:
+        matcher = MATCHER_PLUGINS[name]
+    except InputError as error:  # an entry point that cannot be loaded
+        return MatcherInfo(name, "?", False, str(error), "?", "")
+    usable, reason = getattr(matcher, "available", lambda: (True, ""))()
+    document = (inspect.getdoc(matcher) or "").partition("\n")[0]
+    return MatcherInfo(
+        name,
+        getattr(matcher, "operators", "all"),
+        usable,
+        reason,
+        getattr(matcher, "licence", None) or MATCHER_PLUGINS.provenance(name),
+        getattr(matcher, "summary", document),
+    )

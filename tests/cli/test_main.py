@@ -100,6 +100,15 @@ def test_operators_lists_what_is_here():
     assert CliRunner().invoke(main, ["operators"]).exit_code == 0
 
 
+def test_matchers_lists_what_is_here():
+    result = CliRunner().invoke(main, ["matchers", "--json"])
+    rows = {row["name"]: row for row in json.loads(result.stdout)}
+    assert rows["nearest"]["available"]
+    assert rows["lightglue"]["available"] or "--no-deps" in rows["lightglue"]["reason"]
+    assert "aliked" in rows["lightglue"]["operators"]
+    assert "aliked" in CliRunner().invoke(main, ["matchers"]).output
+
+
 def seconds(*command: str) -> float:
     """The fastest of five: what the command costs when nothing else disturbs it."""
     times = []
