@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..errors import InputError
+from ..io.colmap.cameras import to_colmap
 from ..types import Camera, PointCloud
 
 NAME = "colmap"
@@ -72,9 +73,7 @@ def extract_and_match(
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "OPENCV" if camera.has_distortion else "PINHOLE"
     K = camera.K
-    # COLMAP counts pixels from the corner of the image, half a pixel before the centre of the
-    # first.
-    numbers = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
+    numbers = [K[0, 0], K[1, 1], *to_colmap(K[:2, 2])]
     reader.camera_params = ",".join(
         map(str, [*numbers, *camera.distortion[:4]] if camera.has_distortion else numbers)
     )

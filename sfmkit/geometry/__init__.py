@@ -47,6 +47,7 @@ from .homography import (
 )
 from .homography_refinement import refine_homography
 from .lie import hat, so3_exp, so3_log, sphere_exp, tangent_basis
+from .lines import clip_lines
 from .losses import LossTerms, loss_terms, marginal_score, marginal_weight
 from .pose import (
     check_pose,
@@ -85,6 +86,7 @@ __all__ = [
     "check_pose",
     "cheirality",
     "choose_pose",
+    "clip_lines",
     "corrected_matches",
     "covariance",
     "decompose_essential",

@@ -12,9 +12,6 @@ from torch import Tensor
 from . import kernels
 from .checks import check_intrinsics, check_points
 
-HALF_PIXEL = 0.5
-"""The centre of the top-left pixel is (0, 0) here and in OpenCV, (0.5, 0.5) in COLMAP."""
-
 
 def to_homogeneous(x: Tensor) -> Tensor:
     """Append a 1 to points: (*B, N, D) -> (*B, N, D + 1). Computed by kornia."""

@@ -124,8 +124,9 @@ def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
     kornia's ``find_essential`` gives the candidates, which are polished on the essential manifold.
     The polished solutions are constants; two more steps of Newton's method carry the derivatives
     (first and second order are correct). On 20,000 exact samples the true E is missed by more than
-    1e-6 in 0.01 % under sideways and 0.05 % under forward motion; without polishing (kornia 0.9.0)
-    in 0.12 % and 1.1 % (``benchmarks/geometry.py``).
+    1e-6 in 0.01 % under sideways and 0.06 % under forward motion; without polishing (kornia 0.9.0)
+    in 0.12 % and 1.2 % (``benchmarks/geometry.py --peers``). Polishing takes twice kornia's own
+    time; the robust search calls kornia's solver directly.
 
     Args:
         xn1, xn2: (*B, 5, 2) normalised coordinates.

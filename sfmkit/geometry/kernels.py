@@ -103,7 +103,7 @@ def epipolar_rows(x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def residual_and_lines(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Pair, Pair]:
-    """Return ``x2^T F x1`` and the first two coordinates of ``F x1`` and ``F^T x2``, each (*B, N)."""
+    """Return ``x2^T F x1`` and the first two coordinates of ``F x1`` and ``F^T x2``: (*B, N)."""
     f = F.unsqueeze(-1)
     u1, v1 = x1[..., 0], x1[..., 1]
     u2, v2 = x2[..., 0], x2[..., 1]
