@@ -24,7 +24,7 @@ def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) ->
 
     Not kornia's ``find_fundamental`` (0.9.0): on 500 exact sets of 20 matches its median error is
     6e-14 where this one has 2e-15, and 2e-6 where this one has 9e-12 when the depth of the scene is
-    reduced to 1e-4 (``benchmarks/geometry.py --peers``). kornia takes 0.6 of the time on 20,000
+    reduced to 1e-4 (``benchmarks/geometry.py --peers``). kornia takes 0.8 of the time on 20,000
     matches.
 
     Args:

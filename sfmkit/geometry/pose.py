@@ -51,7 +51,7 @@ def choose_pose(
     """Choose, per batch item, the candidate pose with most matches in front of both cameras.
 
     kornia's ``motion_from_essential_choose_solution`` (0.9.0) takes E, not candidates. It
-    triangulates all matches once per candidate, which takes 31 times as long as
+    triangulates all matches once per candidate, which takes about 30 times as long as
     :func:`decompose_essential` and this function (``benchmarks/geometry.py --peers``).
 
     Args:
