@@ -1,4 +1,4 @@
-"""What the commands that take a cloud share."""
+"""Functions of the commands that take a cloud."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def read_cloud(path: Path) -> PointCloud:
-    """The cloud of a PLY file; what had to be left out is said in a line."""
+    """Read the cloud of a PLY file and print its warnings, one per line."""
     from ..io.ply import read_ply
 
     with warnings.catch_warnings(record=True) as said:

@@ -1,4 +1,4 @@
-"""``sfmkit compare``: two clouds of one thing brought together and measured."""
+"""``sfmkit compare``: register two overlapping point clouds and measure their difference."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CLOUD = click.Path(path_type=Path)
     "--pairs",
     type=CLOUD,
     metavar="FILE",
-    help="Where to start: lines of two numbers, a vertex of A and of B, from 0.",
+    help="Start from these: lines of two numbers, a vertex of A and of B, from 0.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
@@ -56,11 +56,11 @@ def compare(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Move B.ply onto A.ply (turned, scaled and shifted as it takes) and tell counts, densities and
+    """Register B.ply to A.ply (rotation, scale and translation) and print counts, densities and
     distances.
 
     Writes compare.json, compare.png and second.ply (B in A's frame and unit) to the folder --out.
-    Exit status 1: the position is doubtful, as with symmetrical things and clouds that share less
+    Exit status 1: the position is doubtful, as for symmetrical objects and clouds that share less
     than four fifths; give --pairs.
     """
     import sys
@@ -96,7 +96,8 @@ def compare(
         _print(numbers, out)
     if found.alignment.doubtful:
         click.echo(
-            "warning: B may lie wrongly: another position fits nearly as well, or too little has a partner; look at compare.png, and give --pairs",
+            "warning: the alignment may be wrong: another position fits nearly as well, or the "
+            "overlap is too small; look at compare.png, and give --pairs",
             err=True,
         )
     sys.exit(UNTRUSTWORTHY if found.alignment.doubtful else OK)
@@ -109,7 +110,7 @@ def _read_pairs(path: Path) -> np.ndarray:
         pairs = np.array(
             [
                 [int(word) for word in line.split()]
-                for line in path.read_text().splitlines()
+                for line in path.read_text(encoding="utf-8-sig").splitlines()
                 if line.strip()
             ]
         )
@@ -133,8 +134,9 @@ def _print(numbers: dict[str, Any], out: Path) -> None:
     console = wide_console()
     moved = numbers["alignment"]
     console.print(
-        f"B is scaled by {moved['scale']:.6g} onto A; {moved['overlap'][0]:.0%} of A and {moved['overlap'][1]:.0%} "
-        f"of B have a partner, at {moved['residual']:.3g} of A's units root mean square."
+        f"B is scaled by {moved['scale']:.6g}; {moved['overlap'][0]:.0%} of A and "
+        f"{moved['overlap'][1]:.0%} of B have a partner, at a root mean square distance of "
+        f"{moved['residual']:.3g} of A's units."
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("")

@@ -1,4 +1,4 @@
-"""``sfmkit density``: how dense a cloud is, and whether it is denser at its edges."""
+"""``sfmkit density``: density of a cloud, and whether it is higher at its edges."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _print(report: DensityReport, out: Path, given: bool) -> None:
     facts.add_row(
         "histogram",
         f"{h.classes} classes of {h.edges[1] - h.edges[0]:.0f}; "
-        f"CloudCompare would take {default_classes(len(n))}",
+        f"CloudCompare takes {default_classes(len(n))}",
     )
     per = unit or "unit"
     facts.add_row(
@@ -103,8 +103,8 @@ def _print(report: DensityReport, out: Path, given: bool) -> None:
     known, of = int(report.shape.known.sum()), len(report.shape.index)
     if report.effects:
         console.print(
-            f"\nIs it denser where the surroundings look like an edge? The {EDGE_SHARE:.0%} of the points with most of a "
-            "feature against the rest:"
+            f"\nDensity at edges: the {EDGE_SHARE:.0%} of the points with the largest value of a "
+            "feature, compared with the others:"
         )
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         for column in ("feature", "Cliff's delta", "95 % interval", ""):
@@ -125,11 +125,9 @@ def _print(report: DensityReport, out: Path, given: bool) -> None:
             )
         console.print(table)
     else:
-        console.print(
-            "\nEdges and the rest were not compared: too few points, or too large a radius."
-        )
+        console.print("\nEdges were not compared: too few points, or too large a radius.")
     console.print(
-        f"{known:,} of {of:,} points have the {NEIGHBOURS} neighbours that it takes to tell a shape.\n",
+        f"{known:,} of {of:,} points have the {NEIGHBOURS} neighbours that a shape takes.\n",
         highlight=False,
     )
     console.print(f"{out}: density.json, density.ply, density.png, histogram.png", highlight=False)

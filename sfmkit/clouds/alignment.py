@@ -1,13 +1,12 @@
-"""Two clouds of one thing brought together: each in its own frame, at its own scale, seen only in
-part by the other.
+"""Register two overlapping point clouds: iterative closest points (ICP) with scale.
 
-Iterative closest points (Besl & McKay 1992) with the scale free (Zinsser, Schmidt & Niemann 2005).
-Pairs are formed both ways: if only the moved cloud looked for partners, it could shrink to a point
-on the other and be near it everywhere. Distances are measured mostly across the surface (Chen &
-Medioni 1992), for along it a point has no partner of its own; pairs that are far apart for their
-time lose their weight; and how much of the clouds has a partner at all is told by trimming
-(Chetverikov et al. 2005). The start is tried in many orientations, because the principal axes of a
-cloud have no sign.
+Each cloud has its own frame and scale and shows only part of the other. ICP (Besl & McKay 1992)
+estimates the scale as well (Zinsser, Schmidt & Niemann 2005). Closest points are paired in both
+directions: with pairs from the moved cloud only, it could shrink to one point of the other and have
+no distance. Distances are measured mostly across the surface (Chen & Medioni 1992), because along
+it a point has no distinct partner. Distant pairs lose weight as the iteration proceeds, and
+trimming (Chetverikov et al. 2005) estimates which share of the clouds has a partner. Many
+orientations are tried as starts, because the principal axes of a cloud have no sign.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from ..errors import DegenerateGeometryError, InputError
 from ..geometry.similarity import Similarity, fit_similarity
 from .density import build_tree
 
-POINTS = 30_000  # of each cloud that the alignment looks at
+POINTS = 30_000  # of each cloud that are used
 _COARSE = (600, 15)  # points and steps with which every start is tried
 _MIDDLE = (4000, 30)  # and the best few of them
 _FINE = (POINTS, 60)
-_FINALISTS = 8
+_FINALISTS = 8  # starts that are refined further
 _ALONG = 0.1  # weight of a distance along the surface, where one across it has 1
-_NORMAL_FROM = 10  # nearest points that give a surface its direction
+_NORMAL_FROM = 10  # nearest points that a normal is estimated from
 _LEAST_OVERLAP = 0.3  # share of the points that must find a partner
 _EXACT = 1e-9  # of the size of a cloud: less is rounding
 _TRIM_POWER = 3  # weighs a small distance against a large share (Chetverikov's 1 + lambda)
@@ -39,15 +38,14 @@ _AMBIGUOUS = 0.8  # a rival start that ends as near as this makes the result dou
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How the second cloud lies on the first.
+    """The transformation of the second cloud to the first, and its quality.
 
     Attributes:
         similarity: from the second cloud's frame to the first's.
-        overlap: share of the first cloud's, and of the second cloud's points that were taken to
-            have a partner.
+        overlap: share of the first cloud's and of the second cloud's points that have a partner.
         residual: root mean square distance of these pairs, in the unit of the first cloud.
-        rivalry: that score over the score of the best start that ended elsewhere, 0 without a
-            rival, 1 for one that is as good, as with a symmetrical thing.
+        rivalry: score of the result over that of the best start that ended elsewhere; 0 if all
+            starts ended here, 1 if another one is as good, as for a symmetrical object.
     """
 
     similarity: Similarity
@@ -57,15 +55,15 @@ class Alignment:
 
     @property
     def doubtful(self) -> bool:
-        """Whether another start ended nearly as near, or, had there been others, less than half of
-        a cloud has a partner."""
+        """Whether another start ended with nearly the same score, or less than half of a cloud has
+        a partner although other starts were tried."""
         return self.rivalry > _AMBIGUOUS or (self.rivalry > 0 and min(self.overlap) < 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Some points of a cloud, in random order, with their normals; centre, size and axes that a few
-    far points cannot move."""
+    """Some points of a cloud, in random order, with normals, and the cloud's centre, size and axes,
+    which are robust to a few distant points."""
 
     tree: KDTree
     normals: np.ndarray
@@ -79,7 +77,7 @@ class _Cloud:
         return self.tree.data
 
     def first(self, n: int) -> _Cloud:
-        """Only its first `n` points."""
+        """Return the first `n` points only."""
         if n not in self._thinner:
             self._thinner[n] = (
                 self
@@ -107,13 +105,13 @@ def align(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Alignment:
-    """Move the second cloud onto the first.
+    """Register the second cloud to the first.
 
     Args:
         a, b: (N, 3) and (M, 3) points.
-        pairs: (P, 2) rows of `a` and of `b` that show the same, three or more, to start from;
-            without them every orientation is tried around the principal axes.
-        seed: of the choice of points that are looked at.
+        pairs: (P, 2) rows of `a` and of `b` that show the same place, three or more, to start from;
+            without them many orientations of the principal axes are tried.
+        seed: of the choice of the points that are used.
         progress: called with (stage, detail).
 
     Raises:
@@ -150,7 +148,8 @@ def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
     spread = np.linalg.svd((xyz - xyz.mean(0))[:1000], compute_uv=False)
     if len(xyz) < 3 or spread[1] <= 1e-9 * spread[0]:
         raise DegenerateGeometryError(
-            f"the {which} cloud's points lie on a line or at one place, so its orientation is open",
+            f"the {which} cloud's points lie on a line or at one place, "
+            "so its orientation is undetermined",
             points=len(xyz),
         )
     centre = np.median(xyz, axis=0)
@@ -166,11 +165,10 @@ def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
 
 
 def _starts(a: _Cloud, b: _Cloud) -> list[Similarity]:
-    """Similarities that bring centre, size and principal axes together, in 80 orientations of the
-    axes.
+    """Similarities that align centre, size and principal axes, in 84 orientations of the axes.
 
-    The rotations of the octahedron (24, the exchanges of axes among them) and of the icosahedron
-    (60) leave no orientation farther than about 40 degrees from one of them.
+    The rotations of the octahedron (24, which include the exchanges of axes) and of the icosahedron
+    (60) are within about 40 degrees of every orientation.
     """
     turns = Rotation.concatenate(
         [Rotation.create_group("O"), Rotation.create_group("I")]
@@ -195,7 +193,8 @@ def _from_pairs(a: np.ndarray, b: np.ndarray, pairs: np.ndarray) -> Similarity:
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
         raise InputError(
-            f"pairs must be whole numbers of shape (P, 2), rows of the two clouds, not {pairs.shape}"
+            "pairs must be whole numbers of shape (P, 2), rows of the two clouds, not "
+            f"{pairs.shape}"
         )
     for column, cloud, which in ((0, a, "first"), (1, b, "second")):
         if len(pairs) and (pairs[:, column].min() < 0 or pairs[:, column].max() >= len(cloud)):
@@ -206,7 +205,7 @@ def _from_pairs(a: np.ndarray, b: np.ndarray, pairs: np.ndarray) -> Similarity:
 
 
 def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _State:
-    """Iterate closest points, both ways, from `start`."""
+    """Iterate closest points, in both directions, from `start`."""
     now, a, b = start, a.first(points), b.first(points)
     for _ in range(steps):
         moved, to_a, row_a, to_b, row_b = _closest(a, b, now)
@@ -216,13 +215,13 @@ def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _S
         distance = np.concatenate([to_a, to_b])
         limit = 3 * np.quantile(distance, _LEAST_OVERLAP) + _EXACT * a.size
         weight = (1 + (distance / limit) ** 2) ** -2  # Geman & McClure 1985
-        # What lies beyond the other cloud's border crowds onto the border's points; each of these
-        # pulls once.
+        # Points beyond the other cloud's border all pair with points on the border; together they
+        # get the weight of one pair.
         weight /= np.concatenate([np.bincount(row)[row] for row in (row_a, row_b)])
         step = _gauss_newton(x, y, normal, weight)
         further = Similarity(step.s * now.s, step.R @ now.R, step.s * (step.R @ now.t) + step.t)
         if not 1 / 3 < float(further.s / start.s) < 3:
-            break  # a scale that runs away
+            break  # the scale diverges
         now = further
         change = step.apply(torch.from_numpy(moved)).numpy() - moved
         if np.abs(change).max() < (_EXACT if points == POINTS else 1e-4) * a.size:
@@ -239,10 +238,10 @@ def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _S
 
 
 def _closest(a: _Cloud, b: _Cloud, now: Similarity) -> tuple:
-    """The second cloud moved, and each side's distances (in the unit of the first) and rows of its
-    partners."""
+    """The moved second cloud, and for both clouds the distances (in the unit of the first) and rows
+    of the partners."""
     moved = now.apply(torch.from_numpy(b.xyz)).numpy()
-    workers = -1 if len(a.xyz) > 5000 else 1  # threads cost more than a few points
+    workers = -1 if len(a.xyz) > 5000 else 1  # threads are slower for few points
     to_a, row_a = a.tree.query(moved, workers=workers)
     to_b, row_b = b.tree.query(
         now.inverse().apply(torch.from_numpy(a.xyz)).numpy(), workers=workers
@@ -253,15 +252,15 @@ def _closest(a: _Cloud, b: _Cloud, now: Similarity) -> tuple:
 def _gauss_newton(
     x: np.ndarray, y: np.ndarray, normal: np.ndarray, weight: np.ndarray
 ) -> Similarity:
-    """The small similarity that takes `x` towards `y`, across the surfaces first of all; one
-    Gauss-Newton step."""
+    """The small similarity that moves `x` towards `y`, mostly across the surfaces: one Gauss-Newton
+    step."""
     centre = np.average(x, axis=0, weights=weight)
     p, r = x - centre, y - x
     size = np.sqrt(
         np.average((p**2).sum(1), weights=weight)
-    )  # so that the unknowns are of one magnitude
+    )  # scales the unknowns to similar magnitudes
     p = p / size
-    # change of a point: turn x p + shift + growth p
+    # change of a point: turn x p + shift + growth p, the derivative of a similarity
     J = np.zeros((len(p), 3, 7))
     J[:, 0, 1], J[:, 0, 2], J[:, 1, 2] = p[:, 2], -p[:, 1], p[:, 0]
     J[:, 1, 0], J[:, 2, 0], J[:, 2, 1] = -p[:, 2], p[:, 1], -p[:, 0]
@@ -281,13 +280,15 @@ def _gauss_newton(
 
 
 def _trim(distance: np.ndarray, exact: float) -> tuple[np.ndarray, float]:
-    """The squared distances of what has a partner, and its share: where their mean over share ** 3
-    is least; `exact` counts as zero."""
+    """The squared distances of the points that have a partner, and their share.
+
+    The share minimises the mean over share ** 3; `exact` counts as zero.
+    """
     squared = np.sort(distance**2) + exact**2
     count = np.arange(1, len(squared) + 1)
     cost = np.cumsum(squared) / count / (count / len(squared)) ** _TRIM_POWER
     least = int(np.ceil(_LEAST_OVERLAP * len(squared))) - 1
-    keep = len(cost) - int(np.argmin(cost[least:][::-1]))  # the largest among equals
+    keep = len(cost) - int(np.argmin(cost[least:][::-1]))  # the largest of equal shares
     return squared[:keep], keep / len(squared)
 
 
@@ -296,7 +297,7 @@ def _score(squared: np.ndarray, share: float) -> float:
 
 
 def _distinct(states: list[_State], size: float) -> list[_State]:
-    """The states, best first, without those that are within 10 degrees and 10 % of a better one."""
+    """The states, best first, without those within 10 degrees and 10 % of a better one."""
     kept: list[_State] = []
     for state in sorted(states, key=lambda s: s.score):
         if all(_apart(state.similarity, other.similarity) for other in kept):

@@ -1,5 +1,7 @@
-"""Two clouds of one thing compared: how many points, how dense, how far apart; their scales and
-frames may differ."""
+"""Compare two clouds of one object: counts, densities and distances.
+
+The scales and frames of the clouds may differ.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ class Distances:
     """Distances from the points of one cloud to the nearest of the other, in one figure each.
 
     Attributes:
-        median, p95, rms: median, 95th percentile and root mean square. The last is ruled by a few
-            points far away.
+        median, p95, rms: median, 95th percentile and root mean square. The last depends
+            mostly on a few distant points.
     """
 
     median: float
@@ -41,12 +43,12 @@ class Distances:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two clouds, the second moved onto the first.
+    """Two clouds in the frame of the first.
 
     Attributes:
         first: the first cloud.
         second: the second, moved into the first one's frame and unit.
-        alignment: how it was moved.
+        alignment: the transformation, and its quality.
         extent: diagonal of the box that holds the inner 98 % of the first cloud in each direction.
         to_second, to_first: (N,) and (M,) distances to the nearest point of the other cloud, in the
             first cloud's unit.
@@ -63,8 +65,10 @@ class Comparison:
     density_second: Density
 
     def numbers(self) -> dict[str, Any]:
-        """Everything but the points, for JSON. Lengths in the first cloud's unit, or over its
-        extent where so named."""
+        """Return everything but the points, for JSON.
+
+        Lengths are in the first cloud's unit, or divided by its extent where the name says so.
+        """
         move = self.alignment.similarity
         found: dict[str, Any] = {
             "alignment": {
@@ -110,12 +114,12 @@ def compare(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Move the second cloud onto the first, and measure both.
+    """Register the second cloud to the first, and measure both.
 
     Args:
         radius: of the density, in the first cloud's unit; None for ten times the spacing of its
             points.
-        pairs: (P, 2) rows of the clouds that show the same, to start from; see
+        pairs: (P, 2) rows of the clouds that show the same place, to start from; see
             :func:`sfmkit.clouds.alignment.align`.
         seed: of the alignment.
         progress: called with (stage, detail).

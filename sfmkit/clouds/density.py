@@ -1,9 +1,9 @@
-"""How dense a cloud is around each of its points, counted as CloudCompare counts.
+"""Density of a cloud around each of its points, counted as CloudCompare does.
 
-The neighbours of a point are the points no farther from it than R. The point itself is one of them,
-and so is a point
-at distance R exactly: the least count is 1. That is what CloudCompare's "Number of neighbors"
-holds, as its wiki says of the point itself and as the tests find, point by point, of both.
+The neighbours of a point are the points within a distance of R. The point itself is one of them,
+and so is a point at distance R exactly: the least count is 1. CloudCompare's "Number of neighbors"
+is defined in the same way: its wiki states it for the point itself, and the tests compare both
+point by point.
 """
 
 from __future__ import annotations
@@ -18,17 +18,16 @@ from scipy.spatial import KDTree
 from .._utils.progress import Progress
 from ..errors import InputError
 
-RADIUS_IN_SPACINGS = (
-    10  # gives some 95 neighbours on the clouds of this project; the paper's clouds have 115
-)
+# Gives about 95 neighbours on the clouds of this project; the paper's clouds have 115.
+RADIUS_IN_SPACINGS = 10
 MAX_PAIRS = 20_000_000_000  # neighbours of all points together: minutes on two cores
-BLOCK = 100_000  # points counted between two words of progress
-_PROBES = 1_000  # points that tell what the rest will cost
+BLOCK = 100_000  # points counted between two reports of progress
+_PROBES = 1_000  # points from which the cost of the others is estimated
 
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """The density at each point of a cloud.
+    """Density at each point of a cloud.
 
     Attributes:
         radius: R, in the cloud's unit.
@@ -40,7 +39,7 @@ class Density:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """(N,) neighbours per squared unit, ``n / (pi R^2)``: as if they lay on a plane."""
+        """(N,) neighbours per squared unit, ``n / (pi R^2)``: exact for points on a plane."""
         return self.neighbours / (pi * self.radius**2)
 
     @cached_property
@@ -69,7 +68,7 @@ class Histogram:
         return len(self.counts)
 
     def gaussian(self, x: np.ndarray) -> np.ndarray:
-        """What a normal distribution would put into a class around `x`."""
+        """Expected count of a normal distribution in a class around `x`."""
         scale = self.counts.sum() * (self.edges[1] - self.edges[0]) / (self.std * sqrt(2 * pi))
         return scale * np.exp(-0.5 * ((x - self.mean) / self.std) ** 2)
 
@@ -77,7 +76,7 @@ class Histogram:
 def density(
     xyz: np.ndarray, radius: float | None = None, *, progress: Progress | None = None
 ) -> Density:
-    """The density of a cloud at each of its points.
+    """Compute the density of a cloud at each of its points.
 
     Args:
         xyz: (N, 3) points.
@@ -94,7 +93,7 @@ def density(
 
 
 def build_tree(xyz: np.ndarray) -> KDTree:
-    """The search tree of (N, 3) points, which the functions here take in place of the points.
+    """Build the search tree of (N, 3) points, which the functions here take instead of points.
 
     Raises:
         InputError: no points, not (N, 3), or not finite.
@@ -105,46 +104,48 @@ def build_tree(xyz: np.ndarray) -> KDTree:
     if not len(xyz):
         raise InputError("the cloud has no points")
     if not np.isfinite(xyz).all():
-        raise InputError("the points hold NaN or infinite values; leave those out first")
+        raise InputError("the points hold NaN or infinite values; remove those first")
     return KDTree(xyz)
 
 
 def spacing(tree: KDTree) -> float:
-    """The median distance from a point to the nearest other one, in the unit of the points.
+    """Return the median distance from a point to the nearest other one, in the unit of the points.
 
-    Of at most 100,000 points taken evenly through the cloud; copies at the very same place do not
-    count as others.
+    At most 100,000 points, evenly through the cloud, are used; copies at the same place do not
+    count as other points.
 
     Raises:
         InputError: all points lie at one place.
     """
     some = tree.data[:: ceil(tree.n / BLOCK)]
     copies = tree.query_ball_point(some[:: ceil(len(some) / 100)], 0, return_length=True)
-    if (
-        copies.min() > 1 or copies.mean() > 100
-    ):  # nearest points are copies, or drown in so many that a search is slow
+    # The nearest points are copies, or there are so many that a search is slow.
+    if copies.min() > 1 or copies.mean() > 100:
         tree = KDTree(_places(tree.data))
         some = tree.data[:: ceil(tree.n / BLOCK)]
     if tree.n == 1:
         raise InputError(
-            "all points lie at one place, so there is no spacing to take a radius from; give --radius"
+            "all points lie at one place, so the radius cannot be derived from their spacing; "
+            "give --radius"
         )
     nearest = tree.query(some, k=2, workers=-1)[0][:, 1]
     return float(np.median(nearest[nearest > 0]))
 
 
 def automatic_radius(xyz: np.ndarray) -> float:
-    """Ten times the :func:`spacing` of (N, 3) points: wide enough for a steady count, narrow enough
-    to show detail."""
+    """Return ten times the :func:`spacing` of (N, 3) points.
+
+    Wide enough for stable counts, narrow enough to show detail.
+    """
     return RADIUS_IN_SPACINGS * spacing(build_tree(xyz))
 
 
 def count_neighbours(
     points: np.ndarray | KDTree, radius: float, *, progress: Progress | None = None
 ) -> np.ndarray:
-    """How many points lie within `radius` of each point, itself included.
+    """Count the points within `radius` of each point, itself included.
 
-    Block by block and without a list of who they are, so that the memory does not grow with the
+    Works block by block and without lists of neighbours, so that memory does not grow with the
     counts.
 
     Args:
@@ -166,9 +167,8 @@ def count_neighbours(
     for start in range(0, tree.n, BLOCK):
         if progress is not None:
             progress("count", f"neighbours of point {start:,} of {tree.n:,}")
-        rows = tree.indices[
-            start : start + BLOCK
-        ]  # in the tree's order neighbours share the processor's cache
+        # in the tree's order neighbours share the processor's cache
+        rows = tree.indices[start : start + BLOCK]
         counts[rows] = tree.query_ball_point(
             tree.data[rows], radius, return_length=True, workers=-1
         )
@@ -176,23 +176,21 @@ def count_neighbours(
 
 
 def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
-    """The histogram of neighbour counts and its Gaussian.
+    """Compute the histogram of neighbour counts and its Gaussian.
 
     Args:
         neighbours: (N,) whole numbers.
-        classes: as many classes between the least and the largest count, as CloudCompare draws
-            them; its own number is the square root of N, rounded up. Where that makes classes
-            narrower than 1, some can hold no whole number
-            and stay empty, at regular distances: a comb that says nothing about the cloud. None
-                avoids it: classes
-            of a whole width around whole numbers, not more than that square root.
+        classes: number of classes between the least and the largest count, as in CloudCompare,
+            whose own number is the square root of N, rounded up. Classes narrower than 1 can hold
+            no whole number and stay empty at regular distances, which is an artefact. None avoids
+            it: classes of a whole width around whole numbers, at most that square root.
 
     Raises:
         InputError: no counts, or less than one class.
     """
     neighbours = np.asarray(neighbours)
     if not len(neighbours):
-        raise InputError("there are no counts to draw a histogram of")
+        raise InputError("a histogram needs at least one count")
     low, high = int(neighbours.min()), int(neighbours.max())
     if classes is None:
         width = ceil((high - low + 1) / default_classes(len(neighbours)))
@@ -208,8 +206,10 @@ def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
 
 
 def default_classes(n: int) -> int:
-    """The square root of the number of points, rounded up: 99 for the paper's 9,666 points, 451 for
-    its 203,122."""
+    """Return the square root of the number of points, rounded up.
+
+    99 for the paper's 9,666 points, 451 for its 203,122.
+    """
     return ceil(sqrt(n))
 
 
@@ -222,12 +222,11 @@ def check_radius(radius: float) -> None:
 
 
 def _check_cost(tree: KDTree, radius: float) -> None:
-    """Refuse a radius with which all points together have more than MAX_PAIRS neighbours."""
+    """Refuse a radius at which all points together have more than MAX_PAIRS neighbours."""
     if tree.n**2 <= MAX_PAIRS:
         return
     probes = tree.data[:: ceil(tree.n / _PROBES)]
-    # One probe after the other, so that a radius that takes in everything is found out at the first
-    # few.
+    # Few probes at a time, so that a radius that contains everything is found at the first few.
     mean, seen = 0.0, 0
     for part in np.array_split(probes, ceil(len(probes) / 10)):
         seen += len(part)
@@ -237,12 +236,13 @@ def _check_cost(tree: KDTree, radius: float) -> None:
     else:
         return
     raise InputError(
-        f"a point has about {mean / seen:,.0f} others within {radius:g}, too many to count around each of {tree.n:,}; "
-        "take a smaller radius (without one it is ten times the points' spacing), or thin the cloud out"
+        f"a point has about {mean / seen:,.0f} others within {radius:g}, too many to count around "
+        f"each of {tree.n:,}; take a smaller radius (the default is ten times the spacing of the "
+        "points), or subsample the cloud"
     )
 
 
 def _places(xyz: np.ndarray) -> np.ndarray:
-    """(M, 3) different points among (N, 3)."""
+    """(M, 3) distinct points of (N, 3)."""
     xyz = xyz[np.lexsort(xyz.T)]
     return xyz[np.concatenate([[True], (np.diff(xyz, axis=0) != 0).any(1)])]

@@ -1,1 +1,19 @@
-"""Files: photographs with EXIF, cameras, PLY clouds, COLMAP models."""
+"""Files: photographs with EXIF, cameras, PLY clouds, COLMAP models.
+
+The modules are imported one by one: reading a cloud needs neither Pillow nor the camera formats.
+"""
+
+__all__ = [
+    "calibration",
+    "cameras",
+    "colmap",
+    "exif",
+    "images",
+    "intrinsics",
+    "jpeg",
+    "pixels",
+    "ply",
+    "ply_header",
+    "sensors",
+    "truth",
+]

@@ -1,8 +1,8 @@
-"""How wide the sensors of common cameras are: manufacturers' nominal values in mm, along the
-longest side.
+"""Widths of the sensors of common cameras: manufacturers' nominal values in mm, along the longest
+side.
 
-Used where EXIF gives a focal length in mm and nothing to turn it into pixels. The names are EXIF's
-Make and Model as :func:`sensor_width` folds them; a camera that is missing is one entry.
+They turn a focal length in mm from EXIF into pixels. The names are EXIF's Make and Model as
+:func:`sensor_width` folds them; a missing camera takes one more entry.
 """
 
 from __future__ import annotations
@@ -100,8 +100,10 @@ SENSOR_WIDTH_MM = {
 
 
 def sensor_width(make: str | None, model: str | None) -> float | None:
-    """Width of the sensor in mm of the camera with these EXIF names, None for one that is not in
-    the table."""
+    """Return the width in mm of the sensor of the camera with these EXIF names.
+
+    None for a camera that is not in the table.
+    """
     maker = (make or "").lower().removesuffix("corporation").split() or [""]
     name = " ".join((model or "").lower().split()).removeprefix(maker[0]).strip()
     return SENSOR_WIDTH_MM.get(f"{maker[0]} {name}")

@@ -62,8 +62,8 @@ def _read_pose(path: Path) -> tuple[np.ndarray, np.ndarray]:
     ]
     if [len(row) for row in rows] != [3] * 8 + [2]:
         raise InputError(
-            f"{path} is not a .camera file: it needs K (3 rows), a row of zeros, R (3 rows), C, and "
-            "the size"
+            f"{path} is not a .camera file: it needs K (3 rows), a row of zeros, R (3 rows), C, "
+            "and the size"
         )
     return _rotation(np.array(rows[4:7]), path), _vector(np.array(rows[7]), path)
 

@@ -179,7 +179,8 @@ def cloudcompare_counts(folder: Path, xyz: np.ndarray, radius: float) -> np.ndar
     for k, values in zip("xyz", xyz.T):
         vertices[k] = values
     PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(folder / "in.ply")
-    command = f"{program} -SILENT -NO_TIMESTAMP -C_EXPORT_FMT PLY -PLY_EXPORT_FMT BINARY_LE -AUTO_SAVE OFF"
+    command = f"{program} -SILENT -NO_TIMESTAMP -C_EXPORT_FMT PLY -PLY_EXPORT_FMT BINARY_LE"
+    command += " -AUTO_SAVE OFF"
     command += f" -O in.ply -DENSITY {radius:g} -TYPE KNN -SAVE_CLOUDS FILE out.ply"
     home = {"HOME": str(folder), "QT_QPA_PLATFORM": "offscreen", "XDG_RUNTIME_DIR": str(folder)}
     subprocess.run(

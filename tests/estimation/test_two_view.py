@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from sfmkit.errors import InputError
-from sfmkit.estimation import estimate_two_view
+from sfmkit.estimation import estimate_two_view, within_the_field
 from sfmkit.options import EstimateOptions
 from sfmkit.types import Camera, Correspondences, OperatorCounts, Verdict
 
@@ -160,3 +160,20 @@ def test_unknown_distance_ratios_do_not_mislead_the_search(seed):
     view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)
     assert view.verdict is Verdict.GENERAL
     assert rotation_degrees(view.R.numpy(), R) < 0.5
+
+
+def test_points_outside_the_field_of_the_distortion_are_dropped_and_counted():
+    """r (1 + k1 r^2) is largest, at 2 r / 3, where 1 + 3 k1 r^2 = 0: no ray is seen farther out."""
+    k1 = -0.27
+    farthest = 2 / 3 * np.sqrt(-1 / (3 * k1))
+    camera = Camera(np.array([[400.0, 0, 383.5], [0, 400, 255.5], [0, 0, 1]]), (768, 512), [k1])
+    radius = farthest * np.array([0, 0.5, 0.98, 1.02, 1.1, 0.9])
+    angle = np.arange(6.0)
+    x = camera.K[:2, 2] + 400 * radius[:, None] * np.c_[np.cos(angle), np.sin(angle)]
+    inner = np.full((6, 2), [383.5, 255.5])
+    for pair in ((x, inner), (inner, x)):
+        with pytest.warns(UserWarning, match="2 of 6 correspondences .* were dropped"):
+            kept = within_the_field(correspondences(*pair), camera, camera)
+        assert kept.index1.tolist() == [0, 1, 2, 5]
+    corr = correspondences(inner, inner)
+    assert within_the_field(corr, camera, camera) is corr

@@ -98,7 +98,7 @@ def _read_images(path: Path, observations: bool) -> dict[int, ColmapImage]:
             image = ColmapImage(name, camera_id, R, t)
             if observations:
                 if not np.isfinite(seen["xy"]).all():
-                    raise InputError(f"an observation of the image {name} is not finite")
+                    raise InputError(f"an observation of the image {name[:80]} is not finite")
                 xy, ids = from_colmap(seen["xy"]), seen["point"].astype(np.int64)
                 image = ColmapImage(name, camera_id, R, t, xy, ids)
             images.add(key, image)

@@ -68,12 +68,13 @@ class ColmapModel:
             InputError: the model has no such camera, or its lens is not supported.
         """
         if image.camera_id not in self.cameras:
-            raise InputError(f"there is no camera {image.camera_id} for the image {image.name}")
+            name = image.name[:80]
+            raise InputError(f"there is no camera {image.camera_id} for the image {name}")
         try:
             return self.cameras[image.camera_id].camera()
         except InputError as error:
             raise InputError(
-                f"camera {image.camera_id} of the image {image.name}: {error}"
+                f"camera {image.camera_id} of the image {image.name[:80]}: {error}"
             ) from None
 
 
@@ -94,7 +95,7 @@ class Images(dict[int, ColmapImage]):
         if key in self:
             raise InputError(f"the image {key} is listed twice")
         if image.name in self._names:
-            raise InputError(f"the image {image.name} is listed twice")
+            raise InputError(f"the image {image.name[:80]} is listed twice")
         self._names.add(image.name)
         self[key] = image
 
