@@ -19,25 +19,26 @@ from .version import engine_version
 from .worker import Outcome, Parcel, Setup, perform
 
 CONNECT_S = 5.0
-WORKERS_S = 10.0
-_AHEAD = 2  # tasks a worker has waiting, so that it need not wait for the next
-_GO_ON = "what was done is kept: start again when the cluster is back"
-_SHARED = 64  # results that stay scattered over the cluster
+_LEAST_WAIT_S = 0.1  # so that workers that are there are seen with --wait 0
+_AHEAD = 2  # tasks per worker, so that the next one is there when one is finished
+_GO_ON = "what was done is kept: run the same command again when the cluster is back"
+_SHARED = 64  # results that are kept in the memory of the cluster
 
 
 class DaskEngine:
     """An existing Dask cluster.
 
     Args:
-        address: of its scheduler, ``tcp://host:port``.
-        setup: what the workers are told; with a cache they must see its folder.
+        address: The address of its scheduler, ``tcp://host:port``.
+        setup: What the workers need; with a cache they must see its folder.
+        wait_s: Seconds to wait for the first worker, and for another one when all are lost.
 
     Raises:
-        InputError: dask is not installed, no scheduler answers within seconds, it has no workers,
-            or these run another version of sfmkit.
+        InputError: Dask is not installed, no scheduler answers within seconds, no worker appears in
+            time, or the workers run another version of sfmkit.
     """
 
-    def __init__(self, address: str, setup: Setup):
+    def __init__(self, address: str, setup: Setup, wait_s: float):
         try:
             from distributed import Client
         except ImportError:
@@ -47,21 +48,16 @@ class DaskEngine:
         try:
             _reach(address)
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
-        except Exception as error:  # whatever the transport of that address raises
+        except Exception as error:  # the classes depend on the transport of the address
             raise InputError(
-                f"no Dask scheduler answers at {address} ({type(error).__name__} after {CONNECT_S:.0f} s); start one with "
-                "`dask scheduler`, workers with `dask worker ADDRESS --nthreads 1`"
+                f"no Dask scheduler answers at {address} ({type(error).__name__} after "
+                f"{CONNECT_S:.0f} s); start one with `dask scheduler`, workers with "
+                "`dask worker ADDRESS --nthreads 1`"
             ) from None
         self._setup, self.shares_files = setup, setup.cache is not None
+        self._address, self._wait_s = address, wait_s
         try:
-            self._client.wait_for_workers(1, timeout=WORKERS_S)
-        except TimeoutError:
-            self.close()
-            raise InputError(
-                f"the Dask cluster at {address} has no workers; start some: dask worker {address}"
-            ) from None
-        try:
-            self._check_versions()
+            self._check_workers()
         except BaseException:
             self.close()
             raise
@@ -70,22 +66,44 @@ class DaskEngine:
         self._shared: OrderedDict[str, Any] = OrderedDict()
         self._number = itertools.count()
 
-    def _check_versions(self) -> None:
-        try:
-            found = self._client.run(engine_version, on_error="return")
-        except Exception as error:
-            raise InputError(
-                f"the cluster's workers cannot be asked for their version: {error}"
-            ) from None
-        for worker, version in found.items():
-            if version != self._setup.version:
-                what = (
-                    f"cannot import this sfmkit ({version!r})"
-                    if isinstance(version, Exception)
-                    else f"runs {version}"
-                )
+    def _check_workers(self) -> None:
+        """Wait for a worker and compare versions; workers that die meanwhile do not count.
+
+        Raises:
+            InputError: No worker appeared in time, or one runs another version.
+        """
+        deadline = time.monotonic() + self._wait_s
+        while True:
+            try:
+                left = max(deadline - time.monotonic(), _LEAST_WAIT_S)
+                self._client.wait_for_workers(1, timeout=left)
+            except TimeoutError:
                 raise InputError(
-                    f"the worker {worker} {what}, here is {self._setup.version}; install the same version everywhere"
+                    f"no worker of the Dask cluster at {self._address} appeared in "
+                    f"{self._wait_s:.0f} s (--wait); start some: dask worker {self._address}"
+                ) from None
+            try:
+                found = self._client.run(engine_version, on_error="return")
+            except Exception:  # the worker that was asked died
+                found = {}
+            alive = self._client.scheduler_info(n_workers=-1)["workers"]
+            answers = {worker: v for worker, v in found.items() if worker in alive}
+            for worker, version in answers.items():
+                if version != self._setup.version:
+                    what = (
+                        f"cannot import this sfmkit ({version!r})"
+                        if isinstance(version, Exception)
+                        else f"runs {version}"
+                    )
+                    raise InputError(
+                        f"the worker {worker} {what}, here is {self._setup.version}; install the "
+                        "same version everywhere"
+                    )
+            if answers:
+                return
+            if time.monotonic() > deadline:
+                raise InputError(
+                    f"the workers of the Dask cluster at {self._address} die before they answer"
                 )
 
     @property
@@ -108,15 +126,11 @@ class DaskEngine:
         future.add_done_callback(self._done.put)
 
     def _share(self, key: str, data: bytes) -> Any:
-        """The bytes in a worker's memory, from which the others fetch them; not through the
-        scheduler."""
+        """Send the bytes to a worker's memory, from where the other workers fetch them."""
         if key not in self._shared:
             try:
                 self._shared[key] = self._client.scatter(data, hash=False)
-            except (
-                OSError,
-                TimeoutError,
-            ):  # that worker has just died: this once they go with the task
+            except (OSError, TimeoutError):  # the worker has just died: send them with the task
                 self._alive()
                 return data
         self._shared.move_to_end(key)
@@ -134,9 +148,7 @@ class DaskEngine:
                 return task, future.result(timeout=CONNECT_S)
             except KilledWorker:
                 return task, died()
-            except (
-                Exception
-            ) as error:  # scattered bytes were lost with a worker, or the cluster is gone
+            except Exception as error:  # scattered bytes were lost, or the cluster is gone
                 self._alive()
                 if attempt == ATTEMPTS:
                     return task, Outcome(
@@ -159,9 +171,10 @@ class DaskEngine:
             except queue.Empty:
                 if self._alive():
                     idle_since = time.monotonic()
-                elif time.monotonic() - idle_since > WORKERS_S:
+                elif time.monotonic() - idle_since > self._wait_s:
                     raise OutputError(
-                        f"the cluster has lost all its workers and none came back in {WORKERS_S:.0f} s; {_GO_ON}"
+                        "the cluster has lost all its workers and none came back in "
+                        f"{self._wait_s:.0f} s; {_GO_ON}"
                     ) from None
 
     def _alive(self) -> bool:
@@ -175,18 +188,16 @@ class DaskEngine:
         return bool(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def close(self) -> None:
-        with suppress(
-            TimeoutError
-        ):  # of a cluster that is gone; what ended the sweep is what must be told
+        with suppress(TimeoutError):  # the error that ended the sweep is the one to report
             self._client.close(timeout=2)
 
 
 def _reach(address: str) -> None:
-    """Raise whatever the transport does where no scheduler answers.
+    """Connect to a scheduler once; raise what the transport raises where none answers.
 
-    A Client that finds none leaves its thread behind, and deadlocks when it is collected while
-    another one starts (distributed 2026.8), so none is made before somebody answers. In a thread: a
-    notebook has a loop of its own.
+    A Client that finds no scheduler leaves its thread behind, and deadlocks when it is collected
+    while another one starts (distributed 2026.8). The connection is made in a thread, because a
+    notebook has an event loop of its own.
     """
     from distributed.comm import connect
 

@@ -116,8 +116,9 @@ class LocalEngine:
         self._stop(k)
 
     def _start(self, k: int) -> subprocess.Popen:
+        # this process's own search path, so that a worker finds the same plug-ins
         root = Path(__file__).parent.parent.parent
-        path = os.pathsep.join([str(root), *filter(None, [os.environ.get("PYTHONPATH")])])
+        path = os.pathsep.join([str(root), *(os.path.abspath(folder) for folder in sys.path)])
         process = subprocess.Popen(
             [sys.executable, "-c", "from sfmkit.ablation.worker import main; main()"],
             stdin=subprocess.PIPE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,16 @@ from .._utils.progress import Progress, silent
 from ..datasets import Pair
 from ..errors import InputError
 from ..features import OPERATOR_PLUGINS, available
+from ..matching.plugins import matcher_of
 from .cache import Cache
+from .plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
 from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
 from .tasks import DetectTask, EstimateTask, Job, MatchTask, Task, estimate_key
+from .variants import MATCHER as MATCHER_SETTING
 from .variants import Combination, Variant, choose_combinations, choose_variants
 from .version import digest, engine_version
+
+PlugIns = Mapping[tuple[str, str], PlugIn]
 
 _ESTIMATES = 24  # of a task at most: about ten seconds of work, and one shard
 
@@ -58,6 +63,7 @@ class Plan:
         pairs: what it runs on.
         operators, combinations, variants, seeds: what it runs.
         units: all estimates, in the order of the table's rows.
+        plugins: those that are not part of sfmkit.
     """
 
     pairs: tuple[PlannedPair, ...]
@@ -66,6 +72,7 @@ class Plan:
     variants: tuple[Variant, ...]
     seeds: int
     units: tuple[EstimateTask, ...]
+    plugins: tuple[PlugIn, ...] = ()
 
     @cached_property
     def matchings(self) -> dict[str, MatchTask]:
@@ -130,6 +137,7 @@ class Plan:
             "combinations": [list(c) for c in self.combinations],
             "variants": [{"preset": v.preset, "vary": dict(v.changes)} for v in self.variants],
             "seeds": self.seeds,
+            "plugins": [asdict(plugin) for plugin in self.plugins],
             "pairs": [p.as_json() for p in self.pairs],
         }
 
@@ -157,6 +165,8 @@ def make_plan(
     seeds: int = 1,
     presets: Sequence[str] = ("default",),
     vary: Mapping[str, Sequence[Any]] | None = None,
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
     root: str | os.PathLike | None = None,
     cache: Cache | None = None,
     images: Path | None = None,
@@ -179,7 +189,8 @@ def make_plan(
     if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
         raise InputError(f"seeds must be a whole number of at least 1, not {seeds!r}")
     combinations = choose_combinations(names, combos)
-    variants = choose_variants(presets, vary, names)
+    variants = choose_variants(presets, chosen_plugins(matchers, backend) | dict(vary or {}), names)
+    plugins = _plugins(names, variants)
     shelf = ImageShelf(images)
     found = []
     for pair in find_pairs(data, root, cache, say):
@@ -188,9 +199,41 @@ def make_plan(
     units = [
         unit
         for index, pair in enumerate(found)
-        for unit in _units(index, pair, combinations, variants, seeds)
+        for unit in _units(index, pair, combinations, variants, seeds, plugins)
     ]
-    return Plan(tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units))
+    own = tuple(p for p in plugins.values() if not REGISTRIES[p.kind].is_built_in(p.name))
+    return Plan(tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units), own)
+
+
+def chosen_plugins(
+    matchers: str | Mapping[str, str] | None, backend: str | None
+) -> dict[str, Sequence[Any]]:
+    """Matchers and estimator as settings with one value each, for :func:`choose_variants`."""
+    chosen: dict[str, Sequence[Any]] = {}
+    if isinstance(matchers, str):
+        chosen[MATCHER_SETTING] = [matchers]
+    elif matchers is not None:
+        chosen |= {
+            f"{OPERATOR_PLUGINS.canonical(name)}.{MATCHER_SETTING}": [matcher]
+            for name, matcher in matchers.items()
+        }
+    return chosen if backend is None else chosen | {"backend": [backend]}
+
+
+def _plugins(
+    operators: Sequence[str], variants: Sequence[Variant]
+) -> dict[tuple[str, str], PlugIn]:
+    """All operators, matchers and estimators of a sweep, by kind and name.
+
+    Raises:
+        InputError: One is unknown, cannot be loaded, or cannot be imported by workers.
+    """
+    names = [(OPERATOR, name) for name in operators]
+    for variant in variants:
+        options = variant.options  # raises where a value is out of range
+        names += [(MATCHER, matcher_of(name, options.match)) for name in operators]
+        names.append((ESTIMATOR, options.estimate.backend))
+    return {(kind, name): find_plugin(kind, name) for kind, name in dict.fromkeys(names)}
 
 
 def _units(
@@ -199,42 +242,47 @@ def _units(
     combinations: Sequence[Combination],
     variants: Sequence[Variant],
     seeds: int,
+    plugins: PlugIns,
 ) -> Iterable[EstimateTask]:
-    """The estimates of one pair. A change to an operator is no change for combinations without
-    it."""
+    """The estimates of one pair; changes without effect on a combination are left out."""
     chosen: dict[Variant, list[Combination]] = {}
     for variant in variants:
         for combination in combinations:
-            mine = chosen.setdefault(variant.of(combination), [])
+            mine = chosen.setdefault(variant.of(combination, pair.homography), [])
             if combination not in mine:
                 mine.append(combination)
     size = max(1, _ESTIMATES // seeds)
     for variant, mine in chosen.items():
         for start in range(0, len(mine), size):
             part = mine[start : start + size]
-            matches = _matchings(pair, variant, part)
+            matches = _matchings(pair, variant, part, plugins)
             jobs = tuple(
-                Job(c, seed, _job_key(index, pair, variant, matches, c, seed))
+                Job(c, seed, _job_key(index, pair, variant, matches, c, seed, plugins))
                 for c in part
                 for seed in range(seeds)
             )
-            key = digest("unit", index, [job.key for job in jobs])
+            key = digest("unit", index, variant.preset, variant.vary, [job.key for job in jobs])
             yield EstimateTask(key, index, pair.homography, pair.cameras, variant, jobs, matches)
 
 
 def _matchings(
-    pair: PlannedPair, variant: Variant, combinations: Sequence[Combination]
+    pair: PlannedPair,
+    variant: Variant,
+    combinations: Sequence[Combination],
+    plugins: PlugIns,
 ) -> dict[str, MatchTask]:
     if pair.images is None or pair.failure:
         return {}
     first, second = pair.images
     options = variant.options.match
-    return {
-        o: MatchTask(
-            DetectTask(first, variant.setting(o)), DetectTask(second, variant.setting(o)), options
+    found = {}
+    for name in dict.fromkeys(o for c in combinations for o in c):
+        setting, code = variant.setting(name), plugins[OPERATOR, name].code
+        matcher = plugins[MATCHER, matcher_of(name, options)].code
+        found[name] = MatchTask(
+            DetectTask(first, setting, code), DetectTask(second, setting, code), options, matcher
         )
-        for o in dict.fromkeys(o for c in combinations for o in c)
-    }
+    return found
 
 
 def _job_key(
@@ -244,7 +292,10 @@ def _job_key(
     matches: dict[str, MatchTask],
     combination: Combination,
     seed: int,
+    plugins: PlugIns,
 ) -> str:
     if not matches:
         return digest("failed", index, str(pair), variant.preset, variant.vary, combination, seed)
-    return estimate_key(pair.homography, pair.cameras, variant, matches, combination, seed)
+    backend = variant.options.estimate.backend
+    code = "" if pair.homography else plugins[ESTIMATOR, backend].code
+    return estimate_key(pair.homography, pair.cameras, variant, matches, combination, seed, code)

@@ -6,6 +6,7 @@ Whatever is killed, what is in either stays, and the same call goes on from ther
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,6 +29,7 @@ from .version import engine_version
 from .worker import Outcome, Parcel, Setup
 
 _TIDY_EVERY = 500  # outcomes
+WAIT_S = 600.0  # for workers; batch systems start jobs within minutes, or much later
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,14 @@ def ablate(
     seeds: int = 1,
     preset: str | Sequence[str] = "default",
     vary: Mapping[str, Sequence[Any]] | None = None,
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
     out: str | os.PathLike | None = None,
     root: str | os.PathLike | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     ship: Literal["path", "bytes"] = "path",
+    wait: float = WAIT_S,
     cache: str | os.PathLike | None = None,
     cache_limit: int = DEFAULT_LIMIT,
     progress: Watcher | None = None,
@@ -96,6 +101,10 @@ def ablate(
         seeds: each estimate is made with seeds 0 ... seeds - 1.
         preset: ``default``, ``dense``, ``paper``, or several.
         vary: setting -> values, every combination of them (:func:`~.variants.choose_variants`).
+        matchers: Name or import path of the matcher; or operator -> matcher, for some of them.
+        backend: Name or import path of the robust estimator; None: the preset's.
+        wait: Seconds to wait for the first worker of a Dask cluster, or for another one when all
+            are lost; long enough for the queue of a batch system.
         out: folder of the sweep, which goes on where it stopped; None keeps the table in memory.
         root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
         workers: local processes; None for one a core.
@@ -111,6 +120,8 @@ def ablate(
             runs, no scheduler answers, or workers run another version.
         OutputError: the disk is full, or a folder cannot be written. What was done is kept.
     """
+    if not 0 <= wait < math.inf:
+        raise InputError(f"wait must be seconds, not {wait}")
     if ship not in ("path", "bytes"):
         raise InputError(f"ship must be 'path' or 'bytes', not {ship!r}")
     if out is None:
@@ -122,11 +133,14 @@ def ablate(
                 seeds=seeds,
                 preset=preset,
                 vary=vary,
+                matchers=matchers,
+                backend=backend,
                 out=made,
                 root=root,
                 workers=workers,
                 scheduler=scheduler,
                 ship=ship,
+                wait=wait,
                 cache=cache,
                 cache_limit=cache_limit,
                 progress=progress,
@@ -144,6 +158,8 @@ def ablate(
             seeds=seeds,
             presets=(preset,) if isinstance(preset, str) else preset,
             vary=vary,
+            matchers=matchers,
+            backend=backend,
             root=root,
             cache=store,
             images=folder.images,
@@ -151,14 +167,18 @@ def ablate(
         )
         folder.open(plan)
         store.tidy()
-        setup = Setup(engine_version(), None if ship == "bytes" else str(store.folder.resolve()))
+        setup = Setup(
+            engine_version(),
+            None if ship == "bytes" else str(store.folder.resolve()),
+            plan.plugins,
+        )
 
         def engine() -> Engine:
             if scheduler is None:
                 return LocalEngine(workers or os.cpu_count() or 1, setup)
             from .cluster import DaskEngine
 
-            return DaskEngine(scheduler, setup)
+            return DaskEngine(scheduler, setup, wait)
 
         if ship == "bytes" and scheduler is None:
             raise InputError(

@@ -104,7 +104,7 @@ def make_features(task: DetectTask, store: Store) -> Entry:
     if f.laplacian is not None:
         arrays["laplacian"] = f.laplacian
     meta = {
-        "operator": f.operator,
+        "operator": s.operator,
         "norm": f.norm,
         "size_wh": list(f.size_wh),
         "seconds": seconds,
@@ -129,7 +129,7 @@ def make_matches(task: MatchTask, store: Store) -> Entry:
     f1, f2 = (features_of(store.result(t)) for t in task.needs)
     with PeakMemory() as memory:
         began = time.process_time()
-        m = run_matcher(f1, f2, task.options)
+        m = run_matcher(f1, f2, task.options, operator=task.operator)
         seconds = time.process_time() - began
     arrays = {"index1": m.index1, "index2": m.index2, "distance": m.distance, "ratio": m.ratio}
     return Entry(
@@ -189,10 +189,7 @@ def _homography(
     seed: int,
 ) -> dict[str, Any]:
     variant = task.variant
-    options, changed = variant.options, dict(variant.changes)
-    if "threshold_px" in changed:
-        planar = replace(options.planar, threshold_px=changed["threshold_px"])
-        options = replace(options, planar=planar)
+    options = replace(variant.options, planar=variant.planar)
     r = register_matches(features, matches, options=options, seed=seed, fused=fused)
     return {
         "verdict": r.verdict.value,

@@ -1,8 +1,8 @@
 """The units of work, each with the key of its result.
 
-A task holds the recipe of everything it needs, so any worker can carry it out from scratch; what is
-in the cache it finds instead. Equal recipes have equal keys: that is how 31 combinations of five
-operators come to need five detections an image and five matchings a pair.
+A task holds the recipe of everything that it needs, so any worker can compute it from scratch, or
+read it from the cache. Equal recipes have equal keys, so 31 combinations of five operators need
+five detections per image and five matchings per pair.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..options import MatchOptions
+from ..matching.plugins import matcher_of
+from ..options import MatchOptions, as_plain
 from ..types import Camera
 from .variants import Combination, Setting, Variant
 from .version import digest, stage_version
@@ -40,16 +41,25 @@ class ImageRef:
 
 @dataclass(frozen=True)
 class DetectTask:
-    """One operator on one image."""
+    """One operator on one image.
+
+    Attributes:
+        code: Of the operator, see :class:`sfmkit.ablation.plugins.PlugIn`.
+    """
 
     image: ImageRef
     setting: Setting
+    code: str = ""
     kind = "features"
 
     @cached_property
     def key(self) -> str:
         return digest(
-            "features", stage_version("features"), self.image.digest, self.setting.as_json()
+            "features",
+            stage_version("features"),
+            self.image.digest,
+            self.setting.as_json(),
+            self.code,
         )
 
     @property
@@ -62,11 +72,16 @@ class DetectTask:
 
 @dataclass(frozen=True)
 class MatchTask:
-    """One operator's features of two images, matched."""
+    """The matching of one operator's features of two images.
+
+    Attributes:
+        code: Of the matcher, see :class:`sfmkit.ablation.plugins.PlugIn`.
+    """
 
     first: DetectTask
     second: DetectTask
     options: MatchOptions
+    code: str = ""
     kind = "matches"
 
     @cached_property
@@ -78,6 +93,8 @@ class MatchTask:
             self.first.key,
             self.second.key,
             [o.mutual, o.max_ratio, o.max_distance],
+            [matcher_of(self.operator, o), as_plain(o.overrides.get(self.operator, {}))],
+            self.code,
         )
 
     @property
@@ -148,12 +165,17 @@ def estimate_key(
     matches: dict[str, MatchTask],
     combination: Combination,
     seed: int,
+    code: str = "",
 ) -> str:
-    """The key of an estimate. The order of the operators does not count, nor does the truth."""
+    """The key of an estimate. It depends neither on the order of the operators nor on the truth.
+
+    Args:
+        code: Of the estimator, see :class:`sfmkit.ablation.plugins.PlugIn`.
+    """
     o = variant.options
-    settings: list[Any] = [variant.preset, o.fuse.merge_radius]
+    settings: list[Any] = [variant.preset, o.fuse.merge_radius, code]
     if homography:
-        settings.append(o.estimate.threshold_px if _changes(variant, "threshold_px") else None)
+        settings.append(as_plain(variant.planar))
     else:
         e = o.estimate
         settings += [
@@ -171,7 +193,3 @@ def estimate_key(
         ]
     used = [[name, matches[name].key] for name in sorted(combination)]
     return digest("estimate", stage_version("estimates"), homography, settings, used, seed)
-
-
-def _changes(variant: Variant, name: str) -> bool:
-    return any(n == name for n, _ in variant.changes)

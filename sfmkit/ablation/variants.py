@@ -11,8 +11,10 @@ from typing import Any
 
 from ..errors import InputError
 from ..features import OPERATOR_PLUGINS
-from ..options import PRESETS, DetectOptions, Options
+from ..matching import choose_matchers
+from ..options import PRESETS, DetectOptions, Options, PlanarOptions
 
+UNKNOWN = object()  # differs from every value
 JOIN = "/"  # between the operators of a combination; + already joins a detector with a descriptor
 MAX_OPERATORS = 12  # 4,095 combinations
 
@@ -25,6 +27,7 @@ STAGE_SETTINGS: Mapping[str, str] = {
     "max_ratio": "match",
     "max_distance": "match",
     "mutual": "match",
+    "matcher": "match",
     "merge_radius": "fuse",
     "threshold_px": "estimate",
     "model": "estimate",
@@ -32,6 +35,8 @@ STAGE_SETTINGS: Mapping[str, str] = {
     "confidence": "estimate",
     "max_iterations": "estimate",
 }
+NOT_PLANAR = ("model", "backend", "confidence", "max_iterations")  # no effect on homographies
+MATCHER = "matcher"  # OPERATOR.matcher is the matcher of one operator
 
 
 def choose_combinations(
@@ -123,12 +128,37 @@ class Variant:
     preset: str
     changes: tuple[tuple[str, Any], ...] = ()
 
-    def of(self, combination: Combination) -> Variant:
-        """This variant, less the changes to operators that are not in the combination."""
-        return replace(
-            self,
-            changes=tuple(c for c in self.changes if c[0].rpartition(".")[0] in ("", *combination)),
-        )
+    def of(self, combination: Combination, homography: bool) -> Variant:
+        """This variant, less the changes without effect on a combination and kind of estimate.
+
+        These are changes to operators that are not in the combination, to settings of the other
+        kind of estimate, and to the value that the preset has.
+        """
+
+        def counts(change: tuple[str, Any]) -> bool:
+            name, value = change
+            if name.rpartition(".")[0] not in ("", *combination):
+                return False
+            if homography and name in NOT_PLANAR:
+                return False
+            return value != self._default(name, homography)
+
+        return replace(self, changes=tuple(filter(counts, self.changes)))
+
+    def _default(self, name: str, homography: bool) -> Any:
+        """The preset's value of a setting; :data:`UNKNOWN` where it depends on the operator."""
+        options = PRESETS[self.preset]
+        owner, _, option = name.rpartition(".")
+        if owner and option == MATCHER:
+            # the matcher of all operators may be changed too, so this one may not be the default
+            changed = any(n == MATCHER for n, _ in self.changes)
+            return UNKNOWN if changed else options.match.matcher
+        if owner:
+            known = self.preset == "default"
+            return OPERATOR_PLUGINS.options(owner).get(option) if known else UNKNOWN
+        if homography and name == "threshold_px":
+            return options.planar.threshold_px
+        return getattr(getattr(options, STAGE_SETTINGS[name]), name)
 
     @property
     def vary(self) -> str:
@@ -139,12 +169,21 @@ class Variant:
     def options(self) -> Options:
         return _options(self)
 
+    @property
+    def planar(self) -> PlanarOptions:
+        """The options of homographies: a changed threshold_px is theirs too."""
+        planar = self.options.planar
+        changes = dict(self.changes)
+        if "threshold_px" in changes:
+            planar = replace(planar, threshold_px=changes["threshold_px"])
+        return planar
+
     def setting(self, operator: str) -> Setting:
         detect: DetectOptions = self.options.detect
         mine = dict(detect.overrides.get(operator, {}))
         for name, value in self.changes:
             owner, _, option = name.rpartition(".")
-            if owner == operator:
+            if owner == operator and option != MATCHER:
                 mine[option] = value
         return Setting(
             operator, detect.preset, detect.budget, detect.max_size, tuple(sorted(mine.items()))
@@ -155,9 +194,12 @@ class Variant:
 def _options(variant: Variant) -> Options:
     options = PRESETS[variant.preset]
     for name, value in variant.changes:
-        if "." not in name:
+        owner, _, option = name.rpartition(".")
+        if not owner:
             stage = STAGE_SETTINGS[name]
             options = replace(options, **{stage: replace(getattr(options, stage), **{name: value})})
+        elif option == MATCHER:
+            options = replace(options, match=choose_matchers(options.match, {owner: value}))
     return options
 
 
@@ -210,10 +252,11 @@ def _settings_with_defaults(operators: Sequence[str]) -> dict[str, Any]:
         name: getattr(getattr(PRESETS["default"], group), name)
         for name, group in STAGE_SETTINGS.items()
     }
+    matcher = PRESETS["default"].match.matcher
     return stage | {
         f"{o}.{option}": value
         for o in operators
-        for option, value in OPERATOR_PLUGINS.options(o).items()
+        for option, value in (OPERATOR_PLUGINS.options(o) | {MATCHER: matcher}).items()
     }
 
 
@@ -223,7 +266,7 @@ def _resolve(word: str, defaults: Mapping[str, Any]) -> str:
     near = [
         name
         for name in defaults
-        if name.startswith(word) or name.partition(".")[2].startswith(word)
+        if name.startswith(word) or name.rpartition(".")[2].startswith(word)
     ]
     if len(near) == 1:
         return near[0]
@@ -245,8 +288,8 @@ def _typed(name: str, value: Any, default: Any) -> Any:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InputError(f"--vary {name}: {value!r} is no number") from None
+        raise InputError(f"--vary {name}: {value!r} is not a number") from None
     whole = isinstance(default, int) or name == "max_size"
     if whole and number != int(number):
-        raise InputError(f"--vary {name}: {value!r} is no whole number")
+        raise InputError(f"--vary {name}: {value!r} is not a whole number")
     return int(number) if whole else number

@@ -25,6 +25,7 @@ from .._utils.machine import processor
 from ..errors import OutputError
 from .cache import Cache
 from .entry import Entry
+from .plugins import PlugIn, load_plugins
 from .stages import Store, estimate_combination
 from .tasks import EstimateTask, Job, Task
 from .version import engine_version, versions
@@ -41,10 +42,12 @@ class Setup:
         version: :func:`~.version.engine_version` of whoever plans.
         cache: folder that all workers see; None where they share no files and results travel as
             bytes.
+        plugins: To be loaded by every worker.
     """
 
     version: str
     cache: str | None
+    plugins: tuple[PlugIn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,11 @@ def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
     if setup.version != engine_version():
         return Outcome(
             "refused",
-            f"the worker on {platform.node()} runs {engine_version()}, this sweep was planned by {setup.version}; install "
-            "the same version everywhere",
+            f"the worker on {platform.node()} runs {engine_version()}, this sweep was planned by "
+            f"{setup.version}; install the same version everywhere",
         )
+    if problem := load_plugins(setup.plugins):
+        return Outcome("refused", f"the worker on {platform.node()}: {problem}")
     parcel = parcel or Parcel()
     notes: list[str] = []
     with _busy:

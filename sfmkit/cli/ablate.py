@@ -1,5 +1,4 @@
-"""``sfmkit ablate``: every combination of operators on every pair. Subcommands read what a sweep
-made."""
+"""``sfmkit ablate``: every combination of operators on every pair."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ from typing import Any
 import click
 
 from .ablate_report import report
-from .parsing import names, size_in_bytes
+from .parsing import matchers, names, size_in_bytes
 from .progress import resumable
 
 
@@ -18,7 +17,8 @@ from .progress import resumable
     "--data",
     metavar="A,B",
     callback=names,
-    help="Data sets, e.g. oxford,strecha,uav,synthetic,planes; some sequences of one: oxford:graf+wall.",
+    help="Data sets (oxford,strecha,uav,synthetic,planes,...; sequences: oxford:graf+wall), pair "
+    "lists, folders, COLMAP models or import paths.",
 )
 @click.option(
     "--operators", default="surf,orb,fast-brief", show_default=True, callback=names, metavar="A,B"
@@ -43,8 +43,22 @@ from .progress import resumable
     "--vary",
     multiple=True,
     metavar="NAME=V1,V2",
-    help="Values of a setting: of a stage (budget, max_ratio, merge_radius, threshold_px, ...) or of an operator "
-    "(surf.hessian_threshold, or hessian for short). Several times: every combination.",
+    help="Values of a setting: of a stage (budget, max_ratio, matcher, backend, threshold_px, ...) "
+    "or of an operator (surf.hessian_threshold, or hessian for short). May be repeated: every "
+    "combination is run.",
+)
+@click.option(
+    "--matcher",
+    "matchers",
+    multiple=True,
+    callback=matchers,
+    metavar="[OPERATOR=]NAME",
+    help="Matcher of all operators or of one, by name or import path; may be repeated for several.",
+)
+@click.option(
+    "--backend",
+    metavar="NAME",
+    help="Robust estimator, by name or import path.  [default: the preset's]",
 )
 @click.option(
     "--out",
@@ -54,21 +68,29 @@ from .progress import resumable
     help="Folder of the sweep.",
 )
 @click.option(
-    "--dry-run", is_flag=True, help="Print what would be done, and about how long it takes."
+    "--dry-run", is_flag=True, help="Print what would be done and how long it takes, roughly."
 )
 @click.option(
     "--workers",
     type=click.IntRange(1, 1024),
     metavar="N",
-    help="Local processes; default: one a core.",
+    help="Local processes; default: one per core.",
 )
-@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on this Dask cluster instead.")
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run on this Dask cluster instead.")
 @click.option(
     "--ship",
     type=click.Choice(["path", "bytes"]),
     default="path",
     show_default=True,
     help="The cluster's workers see the same files, or images travel to them and arrays back.",
+)
+@click.option(
+    "--wait",
+    type=click.FloatRange(min=0),
+    default=600.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long to wait for a worker of the cluster, e.g. in the queue of a batch system.",
 )
 @click.option(
     "--cache",
@@ -90,11 +112,10 @@ from .progress import resumable
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def ablate(ctx: click.Context, **options: Any) -> None:
-    """Run every combination of operators on every pair of the data sets; the result is one table,
-    OUT/ablation.parquet.
+    """Run every combination of operators on every pair of the data sets.
 
-    Detections, matchings and estimates are cached. Stop it whenever you like, by whatever means:
-    the same command goes on where it was.
+    The result is one table, OUT/ablation.parquet. Detections, matchings and estimates are cached;
+    run the same command again to resume an interrupted sweep.
 
     \b
     sfmkit ablate --data oxford,strecha --operators surf,orb,fast-brief,sift,akaze --seeds 3
@@ -114,11 +135,14 @@ def run(
     seeds: int,
     preset: tuple[str, ...],
     vary: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
+    backend: str | None,
     out: Path,
     dry_run: bool,
     workers: int | None,
     scheduler: str | None,
     ship: Any,
+    wait: float,
     cache: Path | None,
     cache_size: int,
     root: Path | None,
@@ -128,7 +152,8 @@ def run(
 
     if not data:
         raise InputError(
-            "name the data sets, e.g. --data oxford,strecha; `sfmkit ablate --help` shows all options"
+            "name the data sets, e.g. --data oxford,strecha; `sfmkit ablate --help` shows all "
+            "options"
         )
     from rich.console import Console
 
@@ -138,7 +163,16 @@ def run(
 
     settings = parse_vary(vary)
     if dry_run:
-        print_plan(data, operators, combos, seeds, preset, settings, cache, root, workers)
+        sweep = {
+            "combos": combos,
+            "seeds": seeds,
+            "presets": preset,
+            "vary": settings,
+            "matchers": matchers,
+            "backend": backend,
+            "root": root,
+        }
+        print_plan(data, operators, sweep, cache, workers)
         return
     with resumable(), bar(enabled=not quiet, console=Console(stderr=True)) as watch:
         table = start(
@@ -148,11 +182,14 @@ def run(
             seeds=seeds,
             preset=preset,
             vary=settings,
+            matchers=matchers,
+            backend=backend,
             out=out,
             root=root,
             workers=workers,
             scheduler=scheduler,
             ship=ship,
+            wait=wait,
             cache=cache,
             cache_limit=cache_size,
             progress=watch,
@@ -161,21 +198,17 @@ def run(
         from ..ablation.watching import print_overview
 
         print_overview(table)
-        click.echo(f"{len(table):,} rows in {table.path}; `sfmkit ablate report {out}` judges them")
+        click.echo(f"{len(table):,} rows in {table.path}; next: sfmkit ablate report {out}")
 
 
 def print_plan(
     data: tuple[str, ...],
     operators: tuple[str, ...],
-    combos: str,
-    seeds: int,
-    preset: tuple[str, ...],
-    vary: dict[str, list[str]],
+    sweep: dict[str, Any],
     cache: Path | None,
-    root: Path | None,
     workers: int | None,
 ) -> None:
-    """What ``--dry-run`` says."""
+    """Print what a sweep would do, for ``--dry-run``."""
     import os
 
     from rich.console import Console
@@ -188,17 +221,7 @@ def print_plan(
 
     store = Cache(cache or cache_folder())
     with progress(enabled=True) as say:
-        plan = make_plan(
-            data,
-            operators,
-            combos=combos,
-            seeds=seeds,
-            presets=preset,
-            vary=vary,
-            root=root,
-            cache=store,
-            say=say,
-        )
+        plan = make_plan(data, operators, **sweep, cache=store, say=say)
         counts = plan.count(store)
     table = Table(
         "",
@@ -224,5 +247,6 @@ def print_plan(
             f"{failing} pairs cannot be run: {next(p.failure for p in plan.pairs if p.failure)}"
         )
     click.echo(
-        f"{counts.rows:,} rows; about {duration(counts.seconds / n)} on {n} workers (within a factor of two)"
+        f"{counts.rows:,} rows; about {duration(counts.seconds / n)} on {n} workers "
+        "(within a factor of two)"
     )

@@ -51,3 +51,27 @@ def size_in_bytes(_ctx: click.Context, _param: click.Parameter, value: str) -> i
     if not 0 < size < 2**63:
         raise click.BadParameter(f"{value!r} is not a size; write, for instance, 8GB or 500MB")
     return size
+
+
+def matchers(
+    _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
+) -> str | dict[str, str] | None:
+    """``("aliked=lightglue",)`` as ``{"aliked": "lightglue"}``, ``("lightglue",)`` as text.
+
+    None where the option was not given.
+    """
+    common = [value for value in values if "=" not in value]
+    if not common:
+        return dict(_two_names(value) for value in values) or None
+    if len(values) > 1:
+        raise click.BadParameter(
+            f"'{common[0]}' is for all operators; give it alone, or OPERATOR=MATCHER several times"
+        )
+    return common[0]
+
+
+def _two_names(value: str) -> tuple[str, str]:
+    operator, _, matcher = (part.strip() for part in value.partition("="))
+    if not operator or not matcher:
+        raise click.BadParameter(f"{value!r} is not OPERATOR=MATCHER")
+    return operator, matcher

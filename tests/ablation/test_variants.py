@@ -8,6 +8,8 @@ import pytest
 
 from sfmkit.ablation.variants import Variant, choose_combinations, choose_variants, parse_vary
 from sfmkit.errors import InputError, OperatorError
+from sfmkit.features import OPERATOR_PLUGINS
+from sfmkit.matching.plugins import matcher_of
 from sfmkit.options import PAPER
 
 FIVE = ("surf", "orb", "fast-brief", "sift", "akaze")
@@ -54,9 +56,43 @@ def test_a_varied_option_concerns_only_combinations_with_its_operator():
         {"surf.hessian_threshold": 30.0},
         {"surf.hessian_threshold": 100.0},
     ]
-    assert {v.of(("orb", "sift")) for v in variants} == {Variant("default")}
+    assert {v.of(("orb", "sift"), True) for v in variants} == {Variant("default")}
     assert variants[1].setting("surf").options == (("hessian_threshold", 100.0),)
     assert variants[1].setting("orb").options == ()
+
+
+def test_a_default_value_is_not_a_variant():
+    known = OPERATOR_PLUGINS.options("surf")["hessian_threshold"]
+    vary = {"budget": [40_000, 8000], "surf.hessian_threshold": [known], "matcher": ["nearest"]}
+    variants = choose_variants(["default"], vary, FIVE)
+    assert {v.of(("surf",), False) for v in variants} == {
+        Variant("default"),
+        Variant("default", (("budget", 8000),)),
+    }
+    (paper,) = choose_variants(["paper"], {"surf.hessian_threshold": [known]}, FIVE)
+    assert paper.of(("surf",), False).changes  # the preset has another value
+
+
+def test_settings_of_the_other_kind_of_estimate_are_not_a_variant():
+    vary = {"backend": ["opencv"], "confidence": [0.9], "threshold_px": [1.0, 3.0]}
+    one, three = choose_variants(["default"], vary, FIVE)
+    assert one.of(("orb",), True) == Variant("default", (("threshold_px", 1.0),))
+    assert three.of(("orb",), True) == Variant("default")  # 3 px is the default of homographies
+    assert dict(one.of(("orb",), False).changes) == {"backend": "opencv", "confidence": 0.9}
+    assert one.planar.threshold_px == 1.0
+    assert Variant("default").planar.threshold_px == 3.0
+
+
+def test_a_matcher_per_operator():
+    vary = {"orb.matcher": ["mine:match"], "matcher": ["other:match"]}
+    (variant,) = choose_variants(["default"], vary, FIVE)
+    options = variant.options.match
+    assert (matcher_of("orb", options), matcher_of("sift", options)) == (
+        "mine:match",
+        "other:match",
+    )
+    assert variant.setting("orb").options == ()
+    assert dict(variant.of(("sift",), True).changes) == {"matcher": "other:match"}
 
 
 def test_stage_settings_reach_their_stage_with_their_type():

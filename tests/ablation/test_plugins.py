@@ -1,0 +1,157 @@
+"""Plug-ins of an installed package, of an importable module and of this process, in sweeps."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from plugins import MODULE, install, on_path, write_example
+from small_sweep import pairs
+
+from sfmkit.ablation import ablate, make_plan, read_sweep
+from sfmkit.ablation.plugins import ESTIMATOR, PlugIn, load_plugins
+from sfmkit.errors import InputError
+from sfmkit.estimation import ESTIMATOR_PLUGINS, register_estimator
+from sfmkit.features import OPERATOR_PLUGINS, register_operator
+
+NAMED = {
+    "operators": ["example-corners", "orb"],
+    "matchers": {"example-corners": "example-matcher"},
+    "backend": "example-estimator",
+}
+CORNERS = f"{MODULE}.features:corners"
+IMPORTED = {
+    "operators": [CORNERS, "orb"],
+    "matchers": {CORNERS: f"{MODULE}.features:one_way"},
+    "backend": f"{MODULE}.estimation:estimate",
+}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    return install(tmp_path_factory.mktemp("plugins"))
+
+
+@pytest.fixture
+def plugged(site):
+    with on_path(site):
+        yield site
+
+
+@pytest.fixture
+def root(tmp_path) -> Path:
+    return write_example(tmp_path / "images")
+
+
+def estimates(table) -> list:
+    rows = sorted(table, key=lambda r: (r["pair"], r["sequence"], r["n_operators"], r["operators"]))
+    return [(r["sequence"], r["status"], r["inliers"], r["R"], r["t"]) for r in rows]
+
+
+def test_plugins_of_a_package_run_in_local_workers(plugged, root, tmp_path):
+    options = {"root": root, "workers": 1, "cache": tmp_path / "cache", "out": tmp_path / "out"}
+    named = ablate("example-pairs", **NAMED, **options)
+    assert {r["dataset"] for r in named} == {"example"}
+    assert named["status"] == ["ok"] * 6, named["failure"]
+    assert {o for r in named for o in r["operators"]} == {"example-corners", "orb"}
+    assert all("example-estimator" in r["vary"] for r in named)
+    kinds = {(p["kind"], p["name"]) for p in read_sweep(tmp_path / "out")["plugins"]}
+    assert kinds == {
+        ("operator", "example-corners"),
+        ("matcher", "example-matcher"),
+        ("estimator", "example-estimator"),
+    }
+    options |= {"out": tmp_path / "out2"}
+    imported = ablate(f"{MODULE}.data:read_pairs", **IMPORTED, **options)
+    assert imported["status"] == ["ok"] * 6, imported["failure"]
+    plain = ablate("example-pairs", NAMED["operators"], **options | {"out": tmp_path / "out3"})
+    assert estimates(plain) != estimates(named)
+
+
+@pytest.mark.slow
+@pytest.mark.cluster
+def test_plugins_run_on_a_cluster(plugged, root, tmp_path, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setenv("PYTHONPATH", f"{plugged}:{Path(__file__).parents[2]}")
+    local = ablate("example-pairs", **NAMED, root=root, workers=1, cache=tmp_path / "cache1")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        remote = ablate(
+            "example-pairs",
+            **NAMED,
+            root=root,
+            cache=tmp_path / "cache2",
+            scheduler=cluster.scheduler_address,
+        )
+    assert remote["status"] == ["ok"] * 6, remote["failure"]
+    assert estimates(remote) == estimates(local)
+
+
+def test_a_change_of_the_source_changes_the_keys(tmp_path):
+    data = pairs(tmp_path / "images", 0, 1)
+
+    def keys() -> dict[str, set[str]]:
+        plan = make_plan(data, **NAMED)
+        return {
+            "features": set(plan.detections),
+            "matches": set(plan.matchings),
+            "estimates": {job.key for unit in plan.units for job in unit.jobs},
+        }
+
+    site = install(tmp_path)
+    with on_path(site):
+        before = keys()
+        assert keys() == before
+        file = site / MODULE / "features.py"
+        file.write_text(file.read_text().replace("count: int = 300", "count: int = 301"))
+        after = keys()
+    assert len(before["features"] & after["features"]) == 2  # those of orb
+    assert len(before["features"] - after["features"]) == 2
+    assert len(before["matches"] & after["matches"]) == 1
+    assert not before["estimates"] & after["estimates"]
+
+
+def test_a_registered_function_works_where_it_can_be_imported(tmp_path, monkeypatch):
+    (tmp_path / "my_operator.py").write_text(
+        "from sfmkit.features import detect\n\n\n"
+        "def find(image):\n    return detect(image, 'orb', nfeatures=200)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    import my_operator  # type: ignore[import-not-found]
+
+    register_operator("mine", my_operator.find)
+    try:
+        data = pairs(tmp_path / "images", 1, 0)
+        table = ablate(data, ["mine"], workers=1, cache=tmp_path / "cache")
+    finally:
+        OPERATOR_PLUGINS.unregister("mine")
+        sys.modules.pop("my_operator")
+    assert table["status"] == ["ok"], table["failure"]
+    assert table["operators"] == [["mine"]]
+
+
+def test_what_no_worker_could_load_is_refused_when_planning(tmp_path):
+    data = pairs(tmp_path / "images", 1, 0)
+    register_estimator("closure", lambda x1, x2, K1, K2, *, seed: None)
+    try:
+        with pytest.raises(InputError, match="'closure' cannot be imported by another process"):
+            make_plan(data, ["orb"], backend="closure")
+    finally:
+        ESTIMATOR_PLUGINS.unregister("closure")
+    for wrong in ({"backend": "nonsense"}, {"vary": {"backend": ["torch", "nonsense"]}}):
+        with pytest.raises(InputError, match="unknown estimator 'nonsense'"):
+            make_plan(data, ["orb"], **wrong)
+    with pytest.raises(InputError, match="unknown matcher 'nonsense'"):
+        make_plan(data, ["orb"], matchers="nonsense")
+    with pytest.raises(InputError, match="threshold_px must be positive"):
+        make_plan(data, ["orb"], vary={"threshold_px": ["-1"]})
+
+
+def test_a_worker_without_the_plugin_or_with_another_version_says_so():
+    missing = PlugIn(ESTIMATOR, "no", "no_such_module:no", "x")
+    assert "cannot load estimator 'no_such_module:no'" in load_plugins([missing])
+    other = PlugIn(ESTIMATOR, "torch", "torch", "sfmkit 0.0.1")
+    assert "the sweep was planned with sfmkit 0.0.1" in load_plugins([other])
