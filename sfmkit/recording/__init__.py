@@ -14,6 +14,7 @@ from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty
 from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
 from .log_photos import log_keypoints, log_matches, log_photographs
 from .log_steps import log_ransac, log_refinement, log_runs
+from .pages import RunPage, save_pages
 from .read import Recording, RecordingError, read_recording
 from .stream import STAGES, merge_recordings, new_stream, recording_ids, write_stream
 
@@ -23,6 +24,7 @@ __all__ = [
     "Layout",
     "Recording",
     "RecordingError",
+    "RunPage",
     "default_blueprint",
     "layout_of",
     "log_account",
@@ -50,6 +52,7 @@ __all__ = [
     "new_stream",
     "read_recording",
     "recording_ids",
+    "save_pages",
     "save_recording",
     "write_stream",
 ]

@@ -199,7 +199,7 @@ def test_failures_are_not_remembered(sweep, monkeypatch, tmp_path):
     import sfmkit.ablation.stages as stages
 
     with monkeypatch.context() as broken:
-        broken.setattr(stages, "match", lambda *a, **k: 1 / 0)
+        broken.setattr(stages, "run_matcher", lambda *a, **k: 1 / 0)
         assert {r["status"] for r in sweep(out="bad")} == {"failed"}
     assert {r["status"] for r in sweep(out="good")} == {"ok"}
 

@@ -130,10 +130,10 @@ def choose_worst(
 
 
 def run_again(case: Case, row: Row, progress: Progress | None = None) -> Rerun:
-    """One of a case's runs, from its photographs, with its settings and seed.
+    """Repeat one of the runs of a case, with its settings and seed.
 
     Raises:
-        ImageError: an image is not there any more.
+        ImageError: An image is missing.
     """
     images = (
         read_image(case.pair["images"][0]["path"]),
@@ -149,10 +149,7 @@ def run_again(case: Case, row: Row, progress: Progress | None = None) -> Rerun:
     result: Reconstruction | Registration
     try:
         if case.pair["kind"] == "homography":
-            changed = dict(variant.changes)
-            if "threshold_px" in changed:
-                planar = replace(options.planar, threshold_px=changed["threshold_px"])
-                options = replace(options, planar=planar)
+            options = replace(options, planar=variant.planar)
             result = register(
                 *images, operators, options=options, seed=row["seed"], progress=progress
             )
@@ -227,9 +224,9 @@ def describe(case: Case, run: Rerun) -> str:
             f"Best on this pair: {case.better['combination']}, seed {case.better['seed']}, {error(case.better)}."
         )
     if run.failure:
-        lines.append(f"Run again it broke off: {run.failure}")
+        lines.append(f"The rerun failed: {run.failure}")
     elif not run.same:
         lines.append(
-            "Run again it gave another estimate than in the sweep: another machine, or other code."
+            "The rerun gave another estimate than the sweep: another machine, or other code."
         )
     return "\n\n".join(line for line in lines if line)
