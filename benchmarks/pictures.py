@@ -21,7 +21,7 @@ import PIL.Image
 import sfmkit
 from sfmkit.clouds.density import density, histogram
 from sfmkit.datasets.synthetic import demo_pair
-from sfmkit.io.cameras import parse_intrinsics
+from sfmkit.io.intrinsics import parse_intrinsics
 from sfmkit.viz.density_figures import density_figure, histogram_figure
 from sfmkit.viz.figures import match_picture, save
 

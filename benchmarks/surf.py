@@ -4,7 +4,7 @@ SIFT.
     SFMKIT_DATA=... python benchmarks/surf.py [--runs 7]
 
 OpenCV's wheels have no SURF; its output is compared with what a build that has it found on four
-photographs at two thresholds. Speed is told as a multiple of ``cv2.SIFT_create().detectAndCompute``
+photographs at two thresholds. Times are multiples of ``cv2.SIFT_create().detectAndCompute``
 on the same image, in turns in one
 process: the same build's SURF took 3.9 to 4.0 times as long as SIFT.
 """

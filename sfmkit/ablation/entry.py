@@ -65,7 +65,9 @@ class Entry:
                 arrays = {name: file[name] for name in file.files}
             meta = json.loads(arrays.pop("meta").tobytes())
             found = meta.pop("key", None)
-        except Exception as error:  # bytes with a right digest that are no entry: any of numpy's
+        except (
+            Exception
+        ) as error:  # bytes with a right digest that are not an entry: any of numpy's
             raise DamagedEntry(f"damaged: {error}") from error
         if found != key:
             raise DamagedEntry("stored under another key")

@@ -11,8 +11,7 @@ from types import TracebackType
 class PeakMemory:
     """The most memory that the process held between ``with`` and its end.
 
-    Linux forgets the peak on request. Elsewhere it is the peak since the process began; where no
-    peak is to be had, 0.
+    Linux forgets the peak on request. Elsewhere it is the peak since the process began; 0 if the peak is not available.
 
     Attributes:
         mb: megabytes (10^6 bytes), once the block has ended.

@@ -176,7 +176,7 @@ def make_plan(
 
     Args:
         cache: where rendered pairs are kept.
-        images: folder for images that are no files.
+        images: folder for images that are not files.
 
     Raises:
         InputError: unknown operators, combinations, presets, settings, data sets.

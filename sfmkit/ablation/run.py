@@ -105,7 +105,7 @@ def ablate(
         backend: Name or import path of the robust estimator; None: the preset's.
         wait: Seconds to wait for the first worker of a Dask cluster, or for another one when all
             are lost; long enough for the queue of a batch system.
-        out: folder of the sweep, which goes on where it stopped; None keeps the table in memory.
+        out: folder of the ablation, which is resumed if it exists; None keeps the table in memory.
         root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
         workers: local processes; None for one a core.
         scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.

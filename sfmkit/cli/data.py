@@ -38,8 +38,7 @@ def list_(data: Path | None) -> None:
 @click.argument("name")
 @DATA
 def fetch(name: str, data: Path | None) -> None:
-    """Download the data set NAME, check it and unpack it. Interrupted downloads are gone on
-    with."""
+    """Download the data set NAME, check it and unpack it. Interrupted downloads are resumed."""
     from ..datasets.catalog import dataset_spec
 
     spec = dataset_spec(name)

@@ -154,6 +154,6 @@ def print_result(result: Result) -> None:
 
 
 def wide_console() -> Console:
-    """Standard output; where it is no terminal, wide enough that no table is cut."""
+    """Standard output; if it is not a terminal, wide enough that no table is cut."""
     console = Console(highlight=False)
     return console if console.is_terminal else Console(highlight=False, width=140)

@@ -28,8 +28,7 @@ def fetch(
 ) -> Path:
     """Download what is missing of a data set, check it, and put it in place.
 
-    Files that are there and right are left alone. What was downloaded before an interruption is
-    gone on with.
+    Files that are there and right are left alone. An interrupted download is resumed.
 
     Args:
         data: the folder to put the data set's folder into; None for ``sfmkit`` in the user's cache
@@ -149,7 +148,7 @@ class _Resuming:
                 done = 0
             length = answer.headers.get("Content-Length")
             total = None if length is None else done + int(length)
-            # A connection that breaks off shows below, in what is missing.
+            # An interrupted connection shows below, in what is missing.
             with self.part.open("ab" if done else "wb") as out, suppress(requests.RequestException):
                 for chunk in answer.iter_content(_CHUNK):
                     out.write(chunk)

@@ -1,4 +1,4 @@
-"""The last refinement: pose and points together, and how sure both are."""
+"""The last refinement: pose and points together, with their uncertainty."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ def judge(
         Verdict.PLANAR: f"One plane explains {1 - off_plane:.0%} of the inliers as well as a scene with depth would, "
         "with fewer assumptions.",
         Verdict.PURE_ROTATION: f"A rotation alone explains {1 - off_rotation:.0%} of the inliers (they move by {motion_px:.2f} px "
-        "beyond it in the median): the camera did not move, so there is no depth to be had.",
+        "beyond it in the median): the camera did not move, so depth cannot be recovered.",
     }[verdict]
     return Judgement(verdict, reason, evidence, R if verdict is Verdict.PURE_ROTATION else None)
 

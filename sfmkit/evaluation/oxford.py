@@ -2,8 +2,7 @@
 and by ours.
 
 Every image is searched once, every operator's features are matched once, and all seeds and recipes
-use the same matches. Rows go to ``rows.jsonl`` as they are made, so an interrupted run goes on
-where it stopped.
+use the same matches. Rows go to ``rows.jsonl`` as they are made, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations

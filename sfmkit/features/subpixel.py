@@ -34,7 +34,7 @@ def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         x, y: integer arrays of one shape.
 
     Returns:
-        int16 array of that shape; not positive where the pixel is no corner at any threshold.
+        int16 array of that shape; not positive where the pixel is not a corner at any threshold.
     """
     flat, at = grey.reshape(-1), y * grey.shape[1] + x
     centre = flat[at].astype(np.int16)

@@ -18,7 +18,7 @@ from .losses import Loss
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 
-_TOLERANCE = 1e-12  # of the cost: the decrease still to be had at convergence
+_TOLERANCE = 1e-12  # of the cost: the predicted decrease at convergence
 _EXACT = 1e-20  # pixels squared per match: rounding of the residuals
 _DAMPING = 1e-4  # at the start
 _POLISH = 2  # steps; each leaves about a tenth of the error
@@ -113,7 +113,7 @@ def bundle_adjust(
         focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal
             length is well determined only where the optical axes do not meet (Kanatani and
             Matsunaga 2000); look at the covariance.
-        max_iterations: 0 triangulates at the given pose and goes nowhere.
+        max_iterations: 0 only triangulates at the given pose.
 
     Raises:
         InputError: on shapes, dtypes or devices that do not fit, NaN, unknown options, or a zero t.

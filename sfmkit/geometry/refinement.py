@@ -20,7 +20,7 @@ from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .losses import Loss, LossTerms, loss_terms
 from .pose import check_pose
 
-_TOLERANCE = 1e-14  # of the cost: the decrease still to be had at convergence
+_TOLERANCE = 1e-14  # of the cost: the predicted decrease at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
 _DAMPING = 1e-6  # at the start
 _POLISH = 2  # steps; each leaves about a tenth of the error

@@ -1,4 +1,4 @@
-"""How sure a pose and its points are: covariances from the Jacobians at the minimum, the noise from
+"""Uncertainty of a pose and its points: covariances from the Jacobians at the minimum, the noise from
 the residuals."""
 
 from __future__ import annotations

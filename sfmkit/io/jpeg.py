@@ -63,7 +63,7 @@ def _zero_code_is_a_coefficient(body: bytes) -> bool:
     """Whether an AC table gives its first code, which is all zeros, to a coefficient.
 
     Zeros then mean full detail in every block. Tables made for a flat picture give that code to
-    "end of block", and zeros are no damage.
+    "end of block", and zeros are not damage.
     """
     while len(body) >= 18:
         count = sum(body[1:17])

@@ -1,4 +1,4 @@
-"""Matching again where a homography says to look.
+"""Homography-guided matching.
 
 Nearest neighbours over the whole image fail where details repeat or an operator is weak. Once the
 homography is roughly known, a feature has a handful of candidates instead of thousands, and the

@@ -96,7 +96,7 @@ class Reconstruction:
 
 @dataclass
 class Stopwatch:
-    """Seconds per stage, and a word to whoever watches."""
+    """Measure seconds per stage and report progress."""
 
     progress: Progress | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -234,7 +234,7 @@ def _same_lens(camera: Camera, image: Image) -> Camera:
     (w, h), (w1, h1) = image.size_wh, camera.size_wh
     if abs(w / w1 - h / h1) > 0.01 * w / w1:
         raise CameraError(
-            f"image 2 ({w} x {h}) is no scaled version of image 1 ({w1} x {h1}); give its own intrinsics "
+            f"image 2 ({w} x {h}) is not a scaled version of image 1 ({w1} x {h1}); give its own intrinsics "
             "(camera2, on the command line --intrinsics2)"
         )
     return camera.scaled((w, h))

@@ -25,7 +25,7 @@ _ROW = "rerun.controls.RowId"  # grows with time
 
 
 class RecordingError(InputError):
-    """A file is no recording, or not one that can be read here; or it does not hold what was asked
+    """A file is not a recording, or not one that can be read here; or it does not hold what was asked
     for."""
 
 
@@ -36,7 +36,7 @@ class Logged:
     Attributes:
         entity, component: e.g. ``/world/points/operator`` and ``sfmkit:residual_px``.
         times: timeline -> value (clock times in ns since 1970); empty for what holds at all times.
-        values: an array with a row for each mark, or a list where it is no plain array (texts,
+        values: an array with a row for each mark, or a list where it is not a plain array (texts,
             strips of lines).
     """
 
@@ -182,7 +182,9 @@ def _version(path: Path) -> tuple[int, int]:
     if not head:
         raise RecordingError(f"{path} is empty (0 bytes)")
     if head[:3] != _MAGIC[:3]:
-        raise RecordingError(f"{path} is no recording: an .rrd file begins with {_MAGIC.decode()}")
+        raise RecordingError(
+            f"{path} is not a recording: an .rrd file begins with {_MAGIC.decode()}"
+        )
     if head[:4] != _MAGIC or len(head) < 8:
         raise RecordingError(
             f"{path} cannot be read: it is cut off, or of a release of Rerun long ago"

@@ -117,7 +117,7 @@ def story(result: Reconstruction) -> dict[str, str]:
         )
         if view.t is None:
             told["pose"] = (
-                "The camera only turned: there is a rotation, and no translation to be had."
+                "The camera only turned: the rotation is known, and the translation cannot be recovered."
             )
     if result.cloud is not None:
         told["triangulate"] = (
@@ -126,7 +126,7 @@ def story(result: Reconstruction) -> dict[str, str]:
         )
         if result.cloud.covariance is not None:
             told["refine"] = (
-                "Pose and points were adjusted together, and each point knows how sure it is: the ellipsoids are stretched "
+                "Pose and points were adjusted together, and each point has an uncertainty: the ellipsoids are stretched "
                 "along the rays, where depth is uncertain."
             )
     return {

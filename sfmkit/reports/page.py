@@ -183,14 +183,14 @@ def figure(title: str, path: Path, alt: str) -> str:
     """A PNG file as a figure with its title below, the file's bytes in the page.
 
     Raises:
-        InputError: there is no such file, or it is no PNG.
+        InputError: there is no such file, or it is not a PNG file.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     if not data.startswith(PNG):
-        raise InputError(f"{path} is no PNG file")
+        raise InputError(f"{path} is not a PNG file")
     source = base64.b64encode(data).decode("ascii")
     return (
         f'<figure><img src="data:image/png;base64,{source}" alt="{escape(alt)}" loading="lazy">'

@@ -94,7 +94,7 @@ class ResultTable:
             for column, cell in zip(self.columns, row):
                 if isinstance(cell, bool) or not isinstance(cell, (str, int, float, type(None))):
                     raise InputError(
-                        f"table {self.name}, column {column.name}: {cell!r} is no text and no number"
+                        f"table {self.name}, column {column.name}: {cell!r} is neither text nor a number"
                     )
                 try:
                     column.show(cell)
@@ -216,7 +216,7 @@ def read_result(folder: str | os.PathLike) -> Result:
     if not isinstance(data, dict) or data.get("version") != VERSION:
         found = data.get("version") if isinstance(data, dict) else type(data).__name__
         raise InputError(
-            f"{path} is no result of version {VERSION}, but {found}; run its benchmark again"
+            f"{path} is not a result of version {VERSION}, but {found}; run its benchmark again"
         )
     try:
         result = Result(

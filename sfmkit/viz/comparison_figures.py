@@ -1,4 +1,4 @@
-"""A picture of two clouds brought together."""
+"""A picture of two registered clouds."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_cache_stats_verify_clear(cli, tmp_path):
         ((*SWEEP, "--vary", "hesian=3", "--dry-run"), "hesian"),
         ((*SWEEP, "--preset", "best"), "unknown preset"),
         (("ablate", "--data", "oxford", "--operators", "orbs"), "Did you mean 'orb'"),
-        ((*SWEEP, "--cache-size", "much"), "is no size"),
+        ((*SWEEP, "--cache-size", "much"), "is not a size"),
         ((*SWEEP, "--ship", "bytes"), "cluster"),
     ],
 )
@@ -101,5 +101,5 @@ def test_ctrl_c_says_how_to_go_on(cli, tmp_path, monkeypatch):
         patch.setattr(InlineEngine, "next", interrupt)
         result = cli(*SWEEP, "--out", str(tmp_path / "out"))
     assert result.exit_code == 130
-    assert "goes on where it stopped" in result.output
+    assert "run the same command again to resume" in result.output
     assert cli(*SWEEP, "--out", str(tmp_path / "out"), "--quiet").exit_code == 0

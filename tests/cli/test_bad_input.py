@@ -94,7 +94,7 @@ def test_truncated_jpeg(small_pair, tmp_path):
 
 
 def test_text_named_png(small_pair, tmp_path):
-    (tmp_path / "t.png").write_text("this is no picture\n" * 50)
+    (tmp_path / "t.png").write_text("this is not a picture\n" * 50)
     is_refused(run(tmp_path / "t.png", small_pair[1], out=tmp_path / "o"), tmp_path / "o", "image")
 
 
@@ -133,7 +133,7 @@ def test_extreme_sizes_end_in_a_verdict(small_pair, tmp_path, size_wh):
     )
 
 
-def test_identical_images_are_no_stereo_pair(small_pair, tmp_path):
+def test_identical_images_are_not_a_stereo_pair(small_pair, tmp_path):
     result = run(
         small_pair[0], small_pair[0], out=tmp_path / "o", extra=("--intrinsics", small_pair[2])
     )
@@ -281,7 +281,7 @@ def test_existing_folder_is_kept(small_pair, tmp_path):
 
 
 def test_unwritable_folder(small_pair, tmp_path):
-    (tmp_path / "file").write_text("a file is no folder")
+    (tmp_path / "file").write_text("a file is not a folder")
     out = tmp_path / "file" / "o"
     result = run(*small_pair[:2], out=out, extra=("--intrinsics", small_pair[2]))
     assert result.exit_code == 2, result.output

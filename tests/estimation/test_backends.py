@@ -40,7 +40,7 @@ def engine(which):
 
 
 def zero_skew(s) -> torch.Tensor:
-    """The peers know no skew: image 2 as a camera without it sees it."""
+    """The peers do not support skew: image 2 as a camera without it sees it."""
     K2 = s.K2.clone()
     K2[0, 1] = 0
     return K2
@@ -195,7 +195,7 @@ def test_right_matches_agree_with_their_neighbours():
     torch.testing.assert_close(d, disagreement(s.x2, s.x1, 1.0))
 
 
-def test_copies_are_no_witnesses():
+def test_copies_do_not_count_as_evidence():
     s = make_scene(500, noise=0.3, outliers=0.8)
     plain = disagreement(s.x1, s.x2, 1.0)
     x1, x2 = (torch.cat((x, x[:1] + 0.1, x[:1] - 0.1)) for x in (s.x1, s.x2))

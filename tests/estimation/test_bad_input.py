@@ -104,7 +104,7 @@ def estimates(e, x1, x2, K1=K, K2=K):
 
 @pytest.mark.parametrize("matches", WRONG.values(), ids=WRONG)
 @pytest.mark.parametrize("which", ENGINES)
-def test_estimators_refuse_what_are_no_matches(which, matches):
+def test_estimators_reject_invalid_matches(which, matches):
     for estimate in estimates(engine(which), *matches):
         with pytest.raises(InputError, match=r"must|holds|give|move"):
             estimate()
@@ -112,7 +112,7 @@ def test_estimators_refuse_what_are_no_matches(which, matches):
 
 @pytest.mark.parametrize("matches", WRONG.values(), ids=WRONG)
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_refuse_what_are_no_matches(name, matches):
+def test_functions_reject_invalid_matches(name, matches):
     with pytest.raises(InputError, match=r"must|holds|give|move"):
         FUNCTIONS[name](*matches)
 

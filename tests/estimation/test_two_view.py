@@ -154,7 +154,7 @@ def test_thresholds_must_be_positive():
 
 @pytest.mark.parametrize("seed", [12, 18])
 def test_unknown_distance_ratios_do_not_mislead_the_search(seed):
-    """Where no match knows its ratio, the order they give is no order: the search must not follow
+    """Where no match knows its ratio, their order is arbitrary: the search must not follow
     it."""
     corr, R, _ = scene("depth", n=500, outliers=0.75, seed=seed)
     view = estimate_two_view(corr, CAMERA, CAMERA, OPTIONS, seed=seed)

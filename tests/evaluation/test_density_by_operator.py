@@ -129,7 +129,7 @@ def test_points_that_are_left_out_are_counted(tmp_path):
         (None, (), "cannot be read as PLY"),
     ],
 )
-def test_bad_input_is_told_and_leaves_nothing(tmp_path, xyz, arguments, message):
+def test_bad_input_is_reported_and_leaves_nothing(tmp_path, xyz, arguments, message):
     path = tmp_path / "c.ply"
     if xyz is None:
         path.write_text("not a cloud")

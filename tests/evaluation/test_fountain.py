@@ -109,7 +109,7 @@ def test_ours_is_right_on_the_rendered_pair(run):
             assert r["close"] > 0.5
 
 
-def test_it_goes_on_where_it_stopped_and_draws_what_is_missing(run, made_up):
+def test_it_resumes_and_draws_what_is_missing(run, made_up):
     out, rows, _ = run
     picture = out / "clouds-default.png"
     assert np.asarray(Image.open(picture).convert("L")).std() > 10

@@ -82,7 +82,7 @@ def test_the_box_counts_what_the_photograph_shows_in_it(run, made_up):
     assert inside_box(behind, camera, (-1e9, -1e9, 1e9, 1e9)).sum() == 0
 
 
-def test_it_goes_on_where_it_stopped(run, made_up):
+def test_it_resumes(run, made_up):
     out, rows = run
     assert bench_uav(out, data=made_up, colmap=False, **SETTINGS) == rows
     with pytest.raises(InputError, match="was made with"):
@@ -233,7 +233,7 @@ def test_bad_settings(made_up, tmp_path):
     assert not (tmp_path / "rows.jsonl").exists(), "nothing was begun"
 
 
-def test_one_photograph_is_no_flight(tmp_path):
+def test_one_photograph_is_not_a_flight(tmp_path):
     folder = tmp_path / "uav" / "one"
     folder.mkdir(parents=True)
     photograph(folder / "0.jpg", np.zeros((48, 64, 3), np.uint8))

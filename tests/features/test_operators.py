@@ -565,7 +565,7 @@ def test_options_reach_detector_and_descriptor(image):
         ("+", "unknown"),
     ],
 )
-def test_names_that_are_no_operator(name, hint, image):
+def test_names_that_are_not_operators(name, hint, image):
     with pytest.raises(OperatorError, match=hint):
         detect(image, name)
 

@@ -44,7 +44,7 @@ AXIS = torch.tensor([0.1, -0.4, 0.3], dtype=torch.float64)
 
 
 def camera(k):
-    """K of (fx, fy, cx, cy, skew): the entries below the diagonal are no unknowns."""
+    """K of (fx, fy, cx, cy, skew): the entries below the diagonal are not unknowns."""
     zero, one = torch.zeros_like(k[..., 0]), torch.ones_like(k[..., 0])
     fx, fy, cx, cy, skew = k.unbind(-1)
     return torch.stack((fx, skew, cx, zero, fy, cy, zero, zero, one), -1).unflatten(-1, (3, 3))

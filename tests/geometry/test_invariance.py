@@ -52,7 +52,9 @@ class Task:
 def task(seed: int, n: int = 60, noise: float = 0.3, outliers: float = 0.0) -> Task:
     s = make_scene(n, noise=noise, seed=seed, outliers=outliers)
     K2 = s.K2.clone()
-    K2[0, 1] = 0  # the peers know no skew; one pixel of it over the focal length is below the noise
+    K2[0, 1] = (
+        0  # the peers do not support skew; one pixel of it over the focal length is below the noise
+    )
     return Task(
         s.x1,
         from_homogeneous(to_homogeneous(s.x2) @ (K2 @ torch.linalg.inv(s.K2)).T),
@@ -278,7 +280,7 @@ def test_bundle_adjustment_finds_the_same_pose_and_is_as_sure(seed, change):
     found, again = (bundle_adjust(c.x1, c.x2, c.K1, c.K2, c.R, c.t) for c in (a, b))
     assert apart((again.R, again.t), change.pose(found.R, found.t)) < 1e-5
     sure, still = covariance(found), covariance(again)
-    # Swapped, the direction of t is told in the other camera's axes, and inherits the uncertainty
+    # Swapped, the direction of t is given in the other camera's axes, and inherits the uncertainty
     # of the rotation.
     upto = 1 if type(change) is Swap else 2
     torch.testing.assert_close(still.sigma_deg[:upto], sure.sigma_deg[:upto], rtol=1e-4, atol=1e-9)

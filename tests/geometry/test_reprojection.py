@@ -27,7 +27,7 @@ def world(n: int = 40):
 @pytest.mark.parametrize("lens", [None, LENS])
 def test_projection_is_opencvs(lens):
     s, X = world()
-    K = s.K1  # OpenCV knows no skew
+    K = s.K1  # OpenCV does not support skew
     d = None if lens is None else lens.numpy()
     theirs, _ = cv2.projectPoints(X.numpy(), so3_log(s.R).numpy(), s.t.numpy(), K.numpy(), d)
     np.testing.assert_allclose(project(X, K, s.R, s.t, lens).numpy(), theirs[:, 0], atol=1e-10)

@@ -459,7 +459,7 @@ def test_no_pixels(tmp_path):
         (None, "a path or a NumPy array, not NoneType"),
     ],
 )
-def test_arrays_that_are_no_image(array, message):
+def test_arrays_that_are_not_images(array, message):
     with pytest.raises(ImageError, match=message):
         read_image(array)
 

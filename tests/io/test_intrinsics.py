@@ -133,7 +133,7 @@ def test_strecha_files(data_dir):
         ("", "no file"),
     ],
 )
-def test_texts_that_are_no_camera(text, message):
+def test_texts_that_are_not_cameras(text, message):
     with pytest.raises(CameraError, match=message):
         parse_intrinsics(text, SIZE)
 
@@ -176,7 +176,7 @@ def test_texts_that_are_no_camera(text, message):
         ),
     ],
 )
-def test_files_that_are_no_camera(tmp_path, content, message):
+def test_files_that_are_not_cameras(tmp_path, content, message):
     (tmp_path / "K.txt").write_bytes(content)
     with pytest.raises(CameraError, match=message):
         parse_intrinsics(tmp_path / "K.txt", SIZE)

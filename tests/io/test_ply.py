@@ -339,7 +339,7 @@ def test_double_where_the_numbers_need_it(tmp_path):
         ),
     ],
 )
-def test_files_that_are_no_cloud(tmp_path, content, message):
+def test_files_that_are_not_clouds(tmp_path, content, message):
     (tmp_path / "c.ply").write_bytes(content)
     with pytest.raises(InputError, match=message):
         read_ply(tmp_path / "c.ply")

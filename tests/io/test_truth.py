@@ -65,7 +65,7 @@ def test_truth_from_json(tmp_path):
         ('{"R": [[1,0,0],[0,1,0],[0,0,1]], "t": "left"}', "must be numbers"),
     ],
 )
-def test_files_that_are_no_truth(tmp_path, content, message):
+def test_files_that_are_not_ground_truth(tmp_path, content, message):
     (tmp_path / "t.json").write_text(content)
     with pytest.raises(InputError, match=message):
         read_truth(tmp_path / "t.json")

@@ -297,7 +297,7 @@ def test_equals_opencv_on_photographs(operator, options, data_dir):
         cv2.imread(str(data_dir / "oxford" / "graf" / f"img{k}.png"), cv2.IMREAD_GRAYSCALE)
         for k in (1, 2)
     ]
-    # OpenCV's matcher knows no Laplacian.
+    # OpenCV's matcher does not use the Laplacian.
     a, b = (
         dataclasses.replace(detect(image, operator, **options), laplacian=None) for image in images
     )

@@ -207,8 +207,8 @@ def test_real_pair(data_dir):
 
 
 def test_a_photograph_and_its_copy_shifted_by_whole_pixels_agree_exactly():
-    # Most descriptors are equal to the last bit: distances of 0 must not become weights that are no
-    # numbers.
+    # Most descriptors are equal to the last bit: distances of 0 must not become NaN
+    # weights.
     whole = textured(2)
     result = register(whole[:300, :380], whole[10:310, 15:395], ("akaze",))
     assert result.H is not None

@@ -1,5 +1,4 @@
-"""Answers about a recording, against the arrays it was made from; and files that are no proper
-recordings."""
+"""Answers about a recording, against the arrays it was made from; and files that are not valid recordings."""
 
 from __future__ import annotations
 
@@ -183,7 +182,7 @@ def test_a_recording_without_a_cloud(tmp_path):
         describe_point(tmp_path / "a.rrd", 0)
 
 
-def test_several_reconstructions_in_one_file_are_told_apart(tmp_path):
+def test_several_reconstructions_in_one_file_are_distinguished(tmp_path):
     from sfmkit.recording.log import log_reconstruction
 
     rec = rr.RecordingStream("sfmkit", recording_id="two", send_properties=False)
@@ -208,12 +207,12 @@ def test_a_file_that_is_cut_off(path, tmp_path, share):
         read_recording(tmp_path / "cut.rrd")
 
 
-def test_files_that_are_no_recordings(tmp_path):
-    (tmp_path / "text.rrd").write_text("hello, this is no recording\n")
+def test_files_that_are_not_recordings(tmp_path):
+    (tmp_path / "text.rrd").write_text("hello, this is not a recording\n")
     (tmp_path / "short.rrd").write_bytes(b"RR")
     for name, words in (
-        ("text.rrd", "no recording"),
-        ("short.rrd", "no recording"),
+        ("text.rrd", "not a recording"),
+        ("short.rrd", "not a recording"),
         ("none.rrd", "there is no file"),
         (".", "cannot be read"),
     ):
@@ -307,8 +306,8 @@ def test_the_viewer_is_served_on_the_loopback_interface_only(path):
     assert not viewer.listens(server.data_port)
 
 
-def test_the_viewer_is_not_started_for_what_is_no_recording(tmp_path):
-    (tmp_path / "text.rrd").write_text("hello, this is no recording\n")
+def test_the_viewer_is_not_started_for_other_files(tmp_path):
+    (tmp_path / "text.rrd").write_text("hello, this is not a recording\n")
     for show in (viewer.open_window, lambda p: viewer.serve(p).__enter__()):
         with pytest.raises(RecordingError):
             show(tmp_path / "text.rrd")

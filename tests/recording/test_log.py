@@ -111,7 +111,7 @@ def test_every_entity_and_column_is_documented_and_every_documented_one_is_there
         } == columns, entity
         assert {i.times["stage"] for i in logged if "stage" in i.times} <= stages[stage], entity
         assert (stage == "static") == all(not i.times for i in logged), entity
-    assert set(documented) - seen == {"/world/camN/image/homography"}  # this scene is no plane
+    assert set(documented) - seen == {"/world/camN/image/homography"}  # this scene is not a plane
 
 
 @pytest.mark.parametrize("image", [1, 2])

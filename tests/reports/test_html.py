@@ -111,7 +111,7 @@ def test_nothing_to_report(tmp_path):
         write_report(tmp_path / "none")
     write_made_up(tmp_path / "uav", "uav")
     (tmp_path / "uav" / "figure.png").write_bytes(b"GIF89a")
-    with pytest.raises(InputError, match="no PNG"):
+    with pytest.raises(InputError, match="not a PNG"):
         write_report(tmp_path)
     (tmp_path / "uav" / "result.json").write_text("{}")
     with pytest.raises(InputError, match="version 1"):

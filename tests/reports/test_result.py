@@ -77,7 +77,7 @@ def test_tables_are_csv_and_markdown_too(folder):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.clear(), "no result of version 1, but None"),
+        (lambda d: d.clear(), "not a result of version 1, but None"),
         (lambda d: d.update(version=2), "version 1, but 2"),
         (lambda d: d.pop("tables"), "damaged"),
         (lambda d: d["tables"][0]["rows"][0].append("more"), "damaged"),
@@ -109,7 +109,7 @@ def test_no_result_and_no_json(tmp_path):
 def test_tables_and_figures_that_cannot_be(folder):
     with pytest.raises(InputError, match="a row of 3 cells"):
         made_up([("a", 1, 2.0)])
-    with pytest.raises(InputError, match="no text and no number"):
+    with pytest.raises(InputError, match="neither text nor a number"):
         made_up([("a", [1], 2.0, 3.0)])
     with pytest.raises(InputError, match="small letters"):
         ResultTable("../x", "", COLUMNS, ())

@@ -161,7 +161,7 @@ def answers(f: Findings) -> list[str]:
     ]
     if broken := int(s.broken.sum()):
         words.append(
-            f"{broken:,} of all {s.broken.size:,} runs broke off, and count as the worst there is; the column failure of the sweep's "
+            f"{broken:,} of all {s.broken.size:,} runs failed, and count as the worst there is; the column failure of the sweep's "
             "table says why."
         )
     if n < _FEW:

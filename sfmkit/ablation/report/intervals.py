@@ -1,7 +1,7 @@
 """Bootstrap intervals over pairs.
 
 Pairs are drawn, with replacement, and each brings all its seeds along: runs with other seeds on the
-same pair are no new evidence about other pairs (Davison & Hinkley, Bootstrap Methods and their
+same pair are not new evidence about other pairs (Davison & Hinkley, Bootstrap Methods and their
 Application, 1997, section 3.8, strategy 1). All setups are computed on the same draws, so
 differences between them are paired.
 """
@@ -40,7 +40,7 @@ def mean_interval(
     """Means over the pairs with bias-corrected and accelerated (BCa) intervals.
 
     Args:
-        values: (P, ...) one value a pair, the mean of its seeds.
+        values: (P, ...) one value per pair, the mean of its seeds.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, equations 14.9, 14.10, 14.14
     and 14.15; for a mean the jackknife of the last has a closed form.
@@ -51,7 +51,9 @@ def mean_interval(
     if n == 1:
         return Interval(mean.reshape(shape), *np.full((2, *shape), np.nan))
     replicates = np.sort(_counts(n, draws, seed) @ x / n, axis=0)
-    off = 1e-12 * np.abs(x).max(initial=1e-300)  # sums in another order are no difference
+    off = 1e-12 * np.abs(x).max(
+        initial=1e-300
+    )  # sums in another order do not count as a difference
     below = (replicates < mean - off).mean(0) + (np.abs(replicates - mean) <= off).mean(0) / 2
     z0 = ndtri(np.clip(below, 1 / draws, 1 - 1 / draws))
     centred = x - mean

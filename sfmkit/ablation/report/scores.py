@@ -1,7 +1,7 @@
 """What a sweep measured, as arrays: pair x setup x seed, one block for each data set.
 
 Everything that is computed of an ablation starts here. Runs without an answer stay in: a
-combination that gives up, or whose run breaks off, has an infinite error, the worst there is, so
+combination that gives up, or whose run fails, has an infinite error, the worst there is, so
 that no average improves by leaving hard pairs out.
 """
 
@@ -90,8 +90,8 @@ class Scores:
         setups: C of them, small combinations first.
         operators: of the sweep, in its order.
         errors: (P, C, S), in the measure's unit; infinite where there is no answer.
-        seconds: (P, C, S) of all stages, as if the setup ran alone; NaN where a run broke off.
-        broken: (P, C, S) bool: runs that broke off, as against those that gave up.
+        seconds: (P, C, S) of all stages, as if the setup ran alone; NaN where a run failed.
+        broken: (P, C, S) bool: runs that failed, as opposed to runs without an answer.
     """
 
     dataset: str

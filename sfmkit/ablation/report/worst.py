@@ -51,7 +51,7 @@ class Rerun:
     Attributes:
         row: as it was in the sweep.
         images: of the pair.
-        result: what it gave this time; None where it broke off, for `failure`.
+        result: what it gave this time; None where it failed, for `failure`.
         failure: why.
         same: whether the estimate is that of the sweep, to a millionth.
     """

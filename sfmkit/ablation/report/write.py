@@ -24,7 +24,7 @@ FOLDER, PAGE = "report", "report.html"
 _NOTES = (
     "A setup is a combination of operators with a preset. All are compared by the area under the curve (AUC) of the share of "
     "runs whose error is below e, for e from 0 to a threshold, divided by the threshold: 1 means no error at all, 0 that no run came "
-    "below the threshold. A run that gave no answer, or broke off, is in every number as the worst there is; nothing is left out.",
+    "below the threshold. A run that gave no answer, or failed, is in every number as the worst there is; nothing is left out.",
     "Intervals hold the true value in about 95 of 100 such experiments. They are bootstrap intervals over the pairs, and a pair brings "
     "all its seeds along: more seeds sharpen the picture of these pairs, only more pairs say more about others. When two "
     "intervals overlap, the difference may still be real, for both setups ran on the same pairs: look it up among the differences.",
@@ -134,7 +134,7 @@ def _together(ablation: Ablation, folder: Path) -> Section | None:
 def _lead(ablation: Ablation) -> str:
     left = ", ".join(f"{n:,} rows of {name}" for name, n in ablation.without_truth.items())
     return (
-        "Which detectors help, where, by how much, and how sure are we? The answers first, for each data set; then what they rest on."
+        "Which detectors help, on which data, by how much, and with which uncertainty? The answers first, for each data set; then what they rest on."
         + (f" Without a true geometry to compare with, and so not judged: {left}." if left else "")
     )
 
@@ -148,7 +148,7 @@ def _result(table: AblationTable, ablation: Ablation, sections: list[Section]) -
     versions = sorted({v for v in table["versions"] if v})
     if not versions:
         raise InputError(
-            "every run of this sweep broke off, so there is nothing to compare; the column `failure` says why"
+            "every run of this ablation failed, so there is nothing to compare; the column `failure` says why"
         )
     return Result(
         name="ablation",

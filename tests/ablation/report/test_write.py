@@ -81,7 +81,7 @@ def test_runs_that_broke_are_the_worst_and_rows_without_a_truth_are_said(rows):
     assert block.quality[:5, surf].tolist() == [0] * 5
     findings = analyse(block)
     assert np.isfinite(findings.seconds.value).all()  # of the pairs that all have a time for
-    assert any("15 of all 420 runs broke off" in a for a in answers(findings))
+    assert any("15 of all 420 runs failed" in a for a in answers(findings))
 
 
 def test_incomplete_and_truthless_sweeps_are_refused_with_what_to_do(rows):
@@ -224,7 +224,7 @@ def test_the_report_is_whole_and_reads_back(report):
     assert html.index("The answers") < html.index("<table")
 
 
-def test_the_command_prints_the_answers_and_refuses_what_is_no_sweep(tmp_path):
+def test_the_command_prints_the_answers_and_refuses_other_folders(tmp_path):
     folder = made_up_sweep(tmp_path / "out", made_up_rows(("surf", "orb"), pairs=9))
     for _ in range(2):  # a report replaces the one before
         done = CliRunner().invoke(main, ["ablate", "report", str(folder)])
