@@ -156,7 +156,11 @@ def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
     distance = np.linalg.norm(xyz - centre, axis=1)
     size = float(np.median(distance)) or float(distance.max())
     inner = xyz[distance <= 3 * size] - centre
-    axes = np.linalg.eigh(inner.T @ inner)[1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        moments = inner.T @ inner
+    if not np.isfinite(moments).all():
+        raise InputError(f"the {which} cloud's coordinates are too large to be squared")
+    axes = np.linalg.eigh(moments)[1]
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     tree = KDTree(xyz)
     near = xyz[tree.query(xyz, k=min(_NORMAL_FROM, len(xyz)), workers=-1)[1]]

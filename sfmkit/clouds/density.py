@@ -175,6 +175,9 @@ def count_neighbours(
     return counts
 
 
+_MOST_CLASSES = 1_000_000  # 16 MB of edges and counts; a picture shows some thousands
+
+
 def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
     """Compute the histogram of neighbour counts and its Gaussian.
 
@@ -186,17 +189,24 @@ def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
             it: classes of a whole width around whole numbers, at most that square root.
 
     Raises:
-        InputError: no counts, or less than one class.
+        InputError: no counts, counts that are not finite numbers below 2^53, less than one class,
+            or more than a million.
     """
     neighbours = np.asarray(neighbours)
+    if neighbours.ndim != 1 or neighbours.dtype.kind not in "iuf":
+        raise InputError(
+            f"the counts must be (N,) numbers, not {neighbours.shape} {neighbours.dtype}"
+        )
     if not len(neighbours):
         raise InputError("a histogram needs at least one count")
+    if not (np.abs(neighbours.astype(np.float64)) < 2.0**53).all():  # whole numbers in float64
+        raise InputError("the counts must be finite and below 2^53")
     low, high = int(neighbours.min()), int(neighbours.max())
     if classes is None:
         width = ceil((high - low + 1) / default_classes(len(neighbours)))
         edges = np.arange(low - 0.5, high + 0.5 + width, width)
-    elif classes < 1:
-        raise InputError(f"a histogram needs at least one class, not {classes}")
+    elif not 1 <= classes <= _MOST_CLASSES:
+        raise InputError(f"a histogram needs 1 to {_MOST_CLASSES:,} classes, not {classes}")
     else:
         edges = np.linspace(low, max(high, low + 1), classes + 1)
     counts, _ = np.histogram(neighbours, edges)

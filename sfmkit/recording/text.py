@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._utils.markdown import table_row
 from ..pipeline.account import ALL, HEAD, OperatorAccount, account_cells
 
 if TYPE_CHECKING:
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """A Markdown table, its first column to the left, the others to the right."""
-    lines = [head, (":--", *["--:"] * (len(head) - 1)), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    """Write a Markdown table, its first column to the left, the others to the right."""
+    rule = f"| :-- |{' --: |' * (len(head) - 1)}"
+    return "\n".join([table_row(head), rule, *map(table_row, rows)])
 
 
 def account_markdown(account: Mapping[str, OperatorAccount]) -> str:

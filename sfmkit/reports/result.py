@@ -13,12 +13,13 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
 from .._utils.machine import describe_machine
+from .._utils.markdown import escape, table_row
 from .._utils.versions import all_versions
 from .._utils.writing import atomic_write
 from ..errors import InputError
@@ -110,13 +111,16 @@ class ResultTable:
     def markdown(self) -> str:
         """As a Markdown table with its title above and its note below."""
 
-        def line(cells: Sequence[str]) -> str:
-            return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
         rule = ["--:" if column.right else ":--" for column in self.columns]
         parts = [
-            f"**{self.title}**",
-            "\n".join(map(line, ([c.name for c in self.columns], rule, *self.shown()))),
+            f"**{escape(self.title)}**",
+            "\n".join(
+                [
+                    table_row(c.name for c in self.columns),
+                    f"| {' | '.join(rule)} |",
+                    *map(table_row, self.shown()),
+                ]
+            ),
         ]
         return "\n\n".join([*parts, self.note] if self.note else parts) + "\n"
 
