@@ -120,7 +120,8 @@ class Cache:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise OutputError(
-                f"the cache {self.folder} cannot be written: {error.strerror or error}; make room or choose another "
+                f"the cache {self.folder} cannot be written: {error.strerror or error}; make "
+                "room or choose another "
                 f"with --cache or {VARIABLE}, and start again: nothing that was done is lost"
             ) from error
 

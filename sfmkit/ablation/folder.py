@@ -67,7 +67,8 @@ class SweepFolder:
             found = read_sweep(self.path)
             if found["identity"] != plan.identity:
                 raise InputError(
-                    f"{self.path} holds another sweep: {_difference(found, plan.as_json())}. Choose "
+                    f"{self.path} holds another sweep: {_difference(found, plan.as_json())}. "
+                    "Choose "
                     "another --out, or remove the folder; what is cached is used again either way"
                 )
         else:

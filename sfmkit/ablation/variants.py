@@ -59,7 +59,8 @@ def choose_combinations(
     if combos in ("all", "pairs", "leave-one-out"):
         if combos == "all" and n > MAX_OPERATORS:
             raise InputError(
-                f"{n} operators have {2**n - 1:,} combinations; choose pairs, leave-one-out or a list"
+                f"{n} operators have {2**n - 1:,} combinations; choose pairs, leave-one-out or a "
+                "list"
             )
         sizes = {"all": range(1, n + 1), "pairs": (1, 2), "leave-one-out": (1, n - 1, n)}[
             str(combos)
@@ -74,7 +75,8 @@ def choose_combinations(
     )
     if not found:
         raise InputError(
-            f"no combination in {combos!r}; use all, pairs, leave-one-out, or a list such as surf/orb,sift"
+            f"no combination in {combos!r}; use all, pairs, leave-one-out, or a list such as "
+            "surf/orb,sift"
         )
     return found
 
@@ -85,7 +87,8 @@ def _combination(part: str | Sequence[str], operators: Sequence[str]) -> Combina
     for name in members:
         if name not in operators:
             raise InputError(
-                f"the combination {JOIN.join(names)} has an operator '{name}' that is not among --operators; the choices "
+                f"the combination {JOIN.join(names)} has an operator '{name}' that is not among "
+                "--operators; the choices "
                 f"all, pairs and leave-one-out go by themselves"
             )
     return tuple(o for o in operators if o in members)

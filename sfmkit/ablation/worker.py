@@ -165,7 +165,10 @@ def one_thread() -> None:
 @cache
 def machine() -> str:
     """Processor, cores, system and Python, in a line."""
-    return f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+    return (
+        f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python "
+        f"{platform.python_version()}"
+    )
 
 
 _LENGTH = struct.Struct("!Q")

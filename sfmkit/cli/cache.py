@@ -52,7 +52,8 @@ def verify(cache: Path | None) -> None:
         click.echo(line)
     if damaged:
         raise InputError(
-            f"{len(damaged)} of {n:,} results were damaged and are removed; they are made again when needed"
+            f"{len(damaged)} of {n:,} results were damaged and are removed; they are made again "
+            "when needed"
         )
     click.echo(f"{n:,} results are sound, in {store.folder}")
 

@@ -101,7 +101,8 @@ def verify(names: tuple[str, ...], data: Path | None) -> None:
         if spec.pins:
             wrong = check_folder(spec, root)
             click.echo(
-                f"{spec.name}: {len(spec.pins) - len(wrong)} of {len(spec.pins)} files as pinned, in {root}"
+                f"{spec.name}: {len(spec.pins) - len(wrong)} of {len(spec.pins)} files as "
+                f"pinned, in {root}"
             )
         else:
             wrong = []

@@ -40,7 +40,8 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
             count += 1
             if count > max_files:
                 raise InputError(
-                    f"{archive.name} holds more than the {max_files:,} files expected; it is not unpacked"
+                    f"{archive.name} holds more than the {max_files:,} files expected; it is not "
+                    "unpacked"
                 )
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("xb") as out:

@@ -92,7 +92,8 @@ DATASETS: Mapping[str, DatasetSpec] = {
             "Affine covariant features: 8 sequences of 6 images with homographies",
             "https://www.robots.ox.ac.uk/~vgg/research/affine/",
             "no licence is stated; made available for research",
-            "Mikolajczyk, Tuytelaars, Schmid, Zisserman, Matas, Schaffalitzky, Kadir & Van Gool: A comparison of affine "
+            "Mikolajczyk, Tuytelaars, Schmid, Zisserman, Matas, Schaffalitzky, Kadir & Van Gool: "
+            "A comparison of affine "
             "region detectors. IJCV 65, 2005",
             60,
             tuple(
@@ -105,7 +106,8 @@ DATASETS: Mapping[str, DatasetSpec] = {
             "HPatches full sequences: 116 sequences of 6 images with homographies",
             "https://github.com/hpatches/hpatches-dataset",
             "no licence is stated for the images; made available for research",
-            "Balntas, Lenc, Vedaldi & Mikolajczyk: HPatches: a benchmark and evaluation of handcrafted and learned local "
+            "Balntas, Lenc, Vedaldi & Mikolajczyk: HPatches: a benchmark and evaluation of "
+            "handcrafted and learned local "
             "descriptors. CVPR 2017",
             1300,
             (
@@ -124,7 +126,8 @@ DATASETS: Mapping[str, DatasetSpec] = {
             "EPFL multi-view set, fountain-P11: 11 photographs with cameras",
             "https://github.com/openMVG/SfM_quality_evaluation",
             "no licence is stated; made available for research",
-            "Strecha, von Hansen, Van Gool, Fua & Thoennessen: On benchmarking camera calibration and multi-view stereo "
+            "Strecha, von Hansen, Van Gool, Fua & Thoennessen: On benchmarking camera "
+            "calibration and multi-view stereo "
             "for high resolution imagery. CVPR 2008",
             30,
             tuple(

@@ -86,7 +86,8 @@ def _check(spec: DatasetSpec, item: Download, file: Path, contents: Path) -> Non
     wrong = check_folder(spec, contents, item.folder)
     if wrong:
         raise InputError(
-            f"{file.name} is not what it should be, and is not kept: {len(wrong)} of its files are missing or differ, "
+            f"{file.name} is not what it should be, and is not kept: {len(wrong)} of its files "
+            "are missing or differ, "
             f"e.g. {wrong[0]}"
         )
 

@@ -257,6 +257,7 @@ def read_homography(path: str | os.PathLike) -> np.ndarray:
         singular = not np.isfinite(H).all() or not abs(np.linalg.det(H)) >= 1e-12
     if singular:
         raise InputError(
-            f"{path} does not hold a homography: it is singular, not finite, or its last number is 0"
+            f"{path} does not hold a homography: it is singular, not finite, or its last number "
+            "is 0"
         )
     return H

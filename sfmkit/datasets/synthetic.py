@@ -111,7 +111,10 @@ class SyntheticPair:
     def truth(self) -> dict[str, Any]:
         """The answer in plain numbers, as ``sfmkit reconstruct --truth`` reads it from JSON."""
         return {
-            "convention": "X2 = R X1 + t, metres; x right, y down, z forward; centre of the top-left pixel (0, 0)",
+            "convention": (
+                "X2 = R X1 + t, metres; x right, y down, z forward; centre of the top-left pixel "
+                "(0, 0)"
+            ),
             "R": self.R.tolist(),
             "t": self.t.tolist(),
             "K": self.camera1.K.tolist(),

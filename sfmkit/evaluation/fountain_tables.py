@@ -38,26 +38,36 @@ def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
         ResultFigure(
             f"Figure 11: the clouds of pair {first}, {PRESET_TITLES[preset]}",
             cloud_picture(preset),
-            f"Point clouds of the single operators and of all together, {PRESET_TITLES[preset]}, as camera 1 sees them",
+            f"Point clouds of the single operators and of all together, {PRESET_TITLES[preset]}, "
+            "as camera 1 sees them",
         )
         for preset in presets
         if (folder / cloud_picture(preset)).is_file()
     )
     return Result(
         name="fountain",
-        title=f"EPFL fountain-P11: from features to the cloud, {len({r['pair'] for r in clouds})} pairs",
+        title=(
+            f"EPFL fountain-P11: from features to the cloud, {len({r['pair'] for r in clouds})} "
+            "pairs"
+        ),
         command=command,
         tables=tuple(tables),
         figures=figures,
         seeds=tuple(sorted({r["seed"] for r in clouds})),
         notes=(
-            "Initial is read as the matches that are handed to the geometry, and loss as the share of them that became no "
-            "point. The paper's text calls initial the detected features in one place, and says the loss is from "
+            "Initial is read as the matches that are handed to the geometry, and loss as the "
+            "share of them that became no "
+            "point. The paper's text calls initial the detected features in one place, and says "
+            "the loss is from "
             "matching to the final cloud in another; its numbers fit the second only.",
-            "The paper adds the operators' matches up, so a corner that two operators found counts twice. Our presets "
-            "default and dense merge such matches; the line “multi, unmerged” counts as the paper does.",
-            "The dense preset is the default with half the least contrast of every operator, twice as many keypoints, and "
-            "only matches whose best distance is below 0.9 of the second best. The ratio test throws matches away before "
+            "The paper adds the operators' matches up, so a corner that two operators found "
+            "counts twice. Our presets "
+            "default and dense merge such matches; the line “multi, unmerged” counts as the "
+            "paper does.",
+            "The dense preset is the default with half the least contrast of every operator, "
+            "twice as many keypoints, and "
+            "only matches whose best distance is below 0.9 of the second best. The ratio test "
+            "throws matches away before "
             "they count as initial; the column of matches tells what passed it.",
         ),
     )
@@ -132,8 +142,10 @@ def _table_6(rows: Sequence[Row], preset: str) -> ResultTable:
         Column("paper: loss, %", ".2f", paper=True),
     )
     note = (
-        "Single operators are estimated alone, as the paper's seem to be (their points add up to 26,725, not to "
-        "27,673). Points within the fusion: those of all together that the operator found, alone or with others."
+        "Single operators are estimated alone, as the paper's seem to be (their points add up to "
+        "26,725, not to "
+        "27,673). Points within the fusion: those of all together that the operator found, alone "
+        "or with others."
     )
     return ResultTable(
         f"table-6-{preset}",
@@ -179,9 +191,12 @@ def _truth_table(rows: Sequence[Row]) -> ResultTable:
         Column("seconds", ".1f"),
     )
     note = (
-        f"Right: of the cloud's matches, those within {RIGHT_PX:g} px of the true epipolar geometry (Sampson distance). Right "
-        "ones kept: of all right matches, those that became points. Errors of rotation and of the translation's "
-        "direction: median and worst of the seeds; below about 0.03 and 0.1 degrees they measure the truth's own error. "
+        f"Right: of the cloud's matches, those within {RIGHT_PX:g} px of the true epipolar "
+        "geometry (Sampson distance). Right "
+        "ones kept: of all right matches, those that became points. Errors of rotation and of "
+        "the translation's "
+        "direction: median and worst of the seeds; below about 0.03 and 0.1 degrees they measure "
+        "the truth's own error. "
         "Seconds: reading to triangulating, on the machine and under the load stated."
     )
     return ResultTable(
@@ -256,8 +271,10 @@ def _scenes_table(rows: Sequence[Row]) -> ResultTable:
         Column("translation, deg", ".3f"),
     )
     note = (
-        "Distance of the points from the surface that their pixel of image 1 shows, the cloud scaled by the true length of "
-        "the baseline and not aligned otherwise; in per cent of the depth, median. All operators together."
+        "Distance of the points from the surface that their pixel of image 1 shows, the cloud "
+        "scaled by the true length of "
+        "the baseline and not aligned otherwise; in per cent of the depth, median. All operators "
+        "together."
     )
     return ResultTable(
         "scenes",

@@ -74,9 +74,12 @@ def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
         figures=tuple(draw_figures(rows, folder)),
         seeds=tuple(sorted({r["seed"] for r in mine})),
         notes=(
-            "The paper gives the RMSE of H in metres. It has no unit: both matrices are scaled to h33 = 1, seven of the "
-            "elements are pure numbers or per pixel, and the two translations, in pixels, outweigh them all.",
-            "The truth's floor is the error of a fit to the fused matches that agree with the truth within "
+            "The paper gives the RMSE of H in metres. It has no unit: both matrices are scaled "
+            "to h33 = 1, seven of the "
+            "elements are pure numbers or per pixel, and the two translations, in pixels, "
+            "outweigh them all.",
+            "The truth's floor is the error of a fit to the fused matches that agree with the "
+            "truth within "
             "3 px: an honest estimate does not get far below it.",
         ),
     )
@@ -143,7 +146,8 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
             Column("paper: features", ",", paper=True),
         ),
         tuple(lines),
-        "Ours: mean over the solved pairs, median of the seeds. Its recipe, rerun: the paper's recipe on the same matches, "
+        "Ours: mean over the solved pairs, median of the seeds. Its recipe, rerun: the paper's "
+        "recipe on the same matches, "
         "mean over the pairs with an estimate, right or wrong. Solved: pairs solved in every seed.",
     )
 
@@ -282,8 +286,10 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
             ResultFigure(
                 f"Figure {number}: RMSE of H, pair by pair, {' and '.join(here)}",
                 file.name,
-                f"Bars on a log axis, one for each operator and pair of {' and '.join(here)}; our recipe above, the "
-                "paper's below; dotted, the truth's floor; no bar where there was too little evidence",
+                f"Bars on a log axis, one for each operator and pair of {' and '.join(here)}; "
+                "our recipe above, the "
+                "paper's below; dotted, the truth's floor; no bar where there was too little "
+                "evidence",
             )
         )
     return drawn

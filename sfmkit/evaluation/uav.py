@@ -81,7 +81,8 @@ def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
         x0, y0, x1, y1 = (float(word) for word in text.split(","))
     except ValueError:
         raise InputError(
-            f"--box takes four numbers X0,Y0,X1,Y1, left, top, right and bottom in pixels of the first photograph, e.g. "
+            "--box takes four numbers X0,Y0,X1,Y1, left, top, right and bottom in pixels of the "
+            "first photograph, e.g. "
             f"{w // 3},{h // 3},{2 * w // 3},{2 * h // 3}; not {text!r}"
         ) from None
     if not all(math.isfinite(v) for v in (x0, y0, x1, y1)) or not (x0 < x1 and y0 < y1):
@@ -300,7 +301,10 @@ def _given_rows(
             continue
         moved = changed(cloud, xyz=found.similarity.apply(cloud.xyz), covariance=None)
         write_ply(out / ply_name(case, f"given-{path.stem}"), moved)
-        how = f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} of it on ours"
+        how = (
+            f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} "
+            "of it on ours"
+        )
         doubt = "; this is doubtful, check the picture" if found.doubtful else ""
         rows.append(
             row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt}

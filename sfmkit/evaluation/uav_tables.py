@@ -37,7 +37,10 @@ def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, comm
     camera = next(r["camera"] for r in rows if r["kind"] == "pair")
     return Result(
         name="uav",
-        title=f"Drone photographs {pair.sequence}: {len(flight.photographs)} of {' x '.join(map(str, flight.camera.size_wh))} pixels",
+        title=(
+            f"Drone photographs {pair.sequence}: {len(flight.photographs)} of "
+            f"{' x '.join(map(str, flight.camera.size_wh))} pixels"
+        ),
         command=command,
         tables=(*(_case_table(rows, flight, case) for case in cases), _pairs_table(rows, cases)),
         figures=(
@@ -46,12 +49,17 @@ def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, comm
         ),
         seeds=(0,),
         notes=(
-            "The paper's photographs, of an antenna, are not public: its lines are of another scene, there to compare the "
+            "The paper's photographs, of an antenna, are not public: its lines are of another "
+            "scene, there to compare the "
             "kind of figures, not the figures. Its MicMac ran on 31 and 93 photographs.",
-            f"The camera is the photographs' own: {camera}. COLMAP is given the same one and holds it; it keeps the points "
-            "that two photographs only show, as ours all are. It leaves out those seen under less than 1.5 degrees.",
-            f"Target: the points that the box {', '.join(f'{v:.0f}' for v in box)} of the first photograph shows. "
-            "Seconds: from reading the photographs to the cloud, libraries loaded, once, under the load stated.",
+            f"The camera is the photographs' own: {camera}. COLMAP is given the same one and "
+            "holds it; it keeps the points "
+            "that two photographs only show, as ours all are. It leaves out those seen under "
+            "less than 1.5 degrees.",
+            f"Target: the points that the box {', '.join(f'{v:.0f}' for v in box)} of the first "
+            "photograph shows. "
+            "Seconds: from reading the photographs to the cloud, libraries loaded, once, under "
+            "the load stated.",
         ),
     )
 
@@ -136,7 +144,8 @@ def _pairs_table(rows: Sequence[Row], cases: Sequence[str]) -> ResultTable:
         Column("seconds", ".1f"),
     )
     note = (
-        "±: the standard deviations that a run states for its own pose, from the noise of the pixels alone. There is no truth "
+        "±: the standard deviations that a run states for its own pose, from the noise of the "
+        "pixels alone. There is no truth "
         "to compare with. Reprojection: root mean square of the cloud's points in both photographs."
     )
     return ResultTable("pairs", "Every pair", columns, tuple(lines), note)

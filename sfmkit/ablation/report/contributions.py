@@ -86,7 +86,8 @@ def missing_combinations(game: Game, players: Sequence[str]) -> list[tuple[str, 
 
 def _say_missing(missing: Sequence[tuple[str, ...]], players: Sequence[str]) -> str:
     return (
-        f"{len(missing)} of {2 ** len(players) - 1} are not in this sweep, e.g. {'/'.join(missing[0])}: run it with "
+        f"{len(missing)} of {2 ** len(players) - 1} are not in this sweep, e.g. "
+        f"{'/'.join(missing[0])}: run it with "
         "--combos all"
     )
 

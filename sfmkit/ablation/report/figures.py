@@ -68,7 +68,8 @@ def figures(f: Findings, folder: Path) -> list[ResultFigure]:
                 folder,
                 f"{name}-contributions{which}.png",
                 f"{s.dataset}{f', {c.variant}' if s.several else ''}: what each operator gives",
-                "For every operator: its AUC alone, the loss without it, and its Shapley value, with 95 % intervals",
+                "For every operator: its AUC alone, the loss without it, and its Shapley value, "
+                "with 95 % intervals",
             )
         )
     if f.ranking is not None:
@@ -84,7 +85,8 @@ def draw_ranking(
         folder,
         f"{slug(dataset)}-ranking.png",
         f"{dataset}: average ranks and critical difference",
-        f"A dot at every setup's average rank, best first, with bars {ranking.critical_difference:.2f} long: the critical difference",
+        "A dot at every setup's average rank, best first, with bars "
+        f"{ranking.critical_difference:.2f} long: the critical difference",
     )
 
 
@@ -98,7 +100,10 @@ def auc_figure(f: Findings) -> Figure:
         _whisker(ax, interval.at(c), y, s.setups[c])
     _rows(ax, [s.label(c) for c in f.order])
     ax.set(
-        xlabel=f"area under the curve up to {s.measure.show(s.measure.main)} (1: no error); whiskers: 95 % interval"
+        xlabel=(
+            f"area under the curve up to {s.measure.show(s.measure.main)} (1: no error); "
+            "whiskers: 95 % interval"
+        )
     )
     return figure
 

@@ -181,7 +181,8 @@ def score(rows: Iterable[Row]) -> Ablation:
             without[row["dataset"]] = without.get(row["dataset"], 0) + 1
     if not known:
         raise InputError(
-            "no row of this sweep has a true geometry to compare with; run it on data with ground truth, such as "
+            "no row of this sweep has a true geometry to compare with; run it on data with "
+            "ground truth, such as "
             "oxford, strecha, synthetic or planes"
         )
     units = [dataset for dataset, _ in known]
@@ -213,7 +214,8 @@ def _block(dataset: str, measure: Measure, rows: Sequence[Row]) -> Scores:
         at = at_pair[f"{r['sequence']} {r['pair']}"], at_setup[_setup(r)], at_seed[r["seed"]]
         if not np.isnan(errors[at]):
             raise InputError(
-                f"{dataset}: {pairs[at[0]]}, {setups[at[1]].combination}, seed {r['seed']} is there twice"
+                f"{dataset}: {pairs[at[0]]}, {setups[at[1]].combination}, seed {r['seed']} is "
+                "there twice"
             )
         errors[at] = np.inf if r["error"] is None else r["error"]
         seconds[at] = np.nan if r["seconds"] is None else r["seconds"]
@@ -221,8 +223,10 @@ def _block(dataset: str, measure: Measure, rows: Sequence[Row]) -> Scores:
     if np.isnan(errors).any():
         p, c, s = np.argwhere(np.isnan(errors))[0]
         raise InputError(
-            f"{dataset}: {int(np.isnan(errors).sum())} of {errors.size} rows are missing, e.g. {pairs[p]}, "
-            f"{setups[c].combination}, seed {seeds[s]}; end the sweep first, with the command that began it"
+            f"{dataset}: {int(np.isnan(errors).sum())} of {errors.size} rows are missing, e.g. "
+            f"{pairs[p]}, "
+            f"{setups[c].combination}, seed {seeds[s]}; end the sweep first, with the command "
+            "that began it"
         )
     return Scores(dataset, measure, tuple(pairs), tuple(setups), order, errors, seconds, broken)
 

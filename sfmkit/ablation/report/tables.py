@@ -69,9 +69,12 @@ def setup_table(f: Findings) -> ResultTable:
         Column("best in, %", ".0f"),
     )
     note = (
-        f"The error is the {s.measure.name}. AUC: area under the curve of the share of runs within an error; a run without an "
-        f"answer counts as an infinite error there, and as {s.measure.show(s.measure.ceiling)}, the most that any run counts, in "
-        f"median and mean. No answer: of {len(s.pairs) * s.seeds} runs. On the front: no other setup is both faster and better. Best in: share "
+        f"The error is the {s.measure.name}. AUC: area under the curve of the share of runs "
+        "within an error; a run without an "
+        f"answer counts as an infinite error there, and as {s.measure.show(s.measure.ceiling)}, "
+        "the most that any run counts, in "
+        f"median and mean. No answer: of {len(s.pairs) * s.seeds} runs. On the front: no other "
+        "setup is both faster and better. Best in: share "
         "of the bootstrap samples. Seconds: all stages on one core, as if the setup ran alone."
     )
     return ResultTable(
@@ -107,8 +110,10 @@ def _difference_table(f: Findings, name: str, every: list, title: str) -> Result
         Column("real"),
     )
     note = (
-        "Differences are paired by pair and seed; intervals are BCa bootstrap over the pairs; p is of Wilcoxon's signed-rank test on "
-        "the pairs' differences. Real: the corrected p is below 0.05 and the interval leaves zero out."
+        "Differences are paired by pair and seed; intervals are BCa bootstrap over the pairs; p "
+        "is of Wilcoxon's signed-rank test on "
+        "the pairs' differences. Real: the corrected p is below 0.05 and the interval leaves "
+        "zero out."
     )
     return ResultTable(f"{slug(s.dataset)}-{name}", title, columns, tuple(rows), note)
 
@@ -135,8 +140,10 @@ def _contribution_table(f: Findings, c: Contributions) -> ResultTable:
     ]
     which = f", {c.variant}" if s.several else ""
     note = (
-        f"In units of AUC {s.measure.show(s.measure.main)}. Loss without: all operators together less all but this one. Shapley: its mean "
-        "gain over every order in which the operators may join; the values add up to what all reach together, no operator counting as no answer, 0."
+        f"In units of AUC {s.measure.show(s.measure.main)}. Loss without: all operators together "
+        "less all but this one. Shapley: its mean "
+        "gain over every order in which the operators may join; the values add up to what all "
+        "reach together, no operator counting as no answer, 0."
     )
     if c.missing:
         note += f" Shapley values need every combination; {c.missing}."
@@ -159,8 +166,10 @@ def ranking_table(dataset: str, labels: tuple[str, ...], r: Ranking) -> ResultTa
         ]
         rows.append((labels[c], float(r.average[c]), " ".join(groups)))
     note = (
-        f"Setups ranked on each of {r.pairs} pairs by their AUC, 1 the best. Friedman's χ² = {r.statistic:.1f}, p = {r.p:.2g}. Nemenyi's critical "
-        f"difference (α = 0.05) is {r.critical_difference:.2f}: setups that share a letter are not told apart."
+        f"Setups ranked on each of {r.pairs} pairs by their AUC, 1 the best. Friedman's χ² = "
+        f"{r.statistic:.1f}, p = {r.p:.2g}. Nemenyi's critical "
+        f"difference (α = 0.05) is {r.critical_difference:.2f}: setups that share a letter are "
+        "not told apart."
     )
     columns = (Column("setup"), Column("average rank", ".2f"), Column("group"))
     return ResultTable(f"{slug(dataset)}-ranking", f"{dataset}: ranks", columns, tuple(rows), note)

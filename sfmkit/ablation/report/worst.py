@@ -221,7 +221,8 @@ def describe(case: Case, run: Rerun) -> str:
     ]
     if row is case.row and case.better is not None:
         lines.append(
-            f"Best on this pair: {case.better['combination']}, seed {case.better['seed']}, {error(case.better)}."
+            f"Best on this pair: {case.better['combination']}, seed {case.better['seed']}, "
+            f"{error(case.better)}."
         )
     if run.failure:
         lines.append(f"The rerun failed: {run.failure}")
