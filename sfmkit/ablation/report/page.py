@@ -68,7 +68,8 @@ def _section(section: Section, folder: Path) -> str:
 def sortable(t: ResultTable, folded: bool = False) -> str:
     """A table whose heads are buttons that sort it; a folded one is closed at first."""
     heads = "".join(
-        f'<th scope="col" aria-sort="none"{_right(c.right)}><button type="button">{_breaking(c.name)}</button></th>'
+        f'<th scope="col" aria-sort="none"{_right(c.right)}>'
+        f'<button type="button">{_breaking(c.name)}</button></th>'
         for c in t.columns
     )
     rows = "".join(
@@ -78,8 +79,10 @@ def sortable(t: ResultTable, folded: bool = False) -> str:
         for row, shown in zip(t.rows, t.shown())
     )
     box = (
-        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(t.title)}"><table id="{t.name}">'
-        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{page.paragraphs([t.note], 'note')}"
+        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(t.title)}">'
+        f'<table id="{t.name}">'
+        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>"
+        f"{page.paragraphs([t.note], 'note')}"
     )
     if not folded:
         return page.heading(t.title) + box
@@ -101,12 +104,15 @@ def _breaking(text: str) -> str:
 
 
 _STYLE = """
-.answers { max-width: 56rem; padding-left: 1.2rem; } .answers li { margin: .3rem 0; overflow-wrap: anywhere; }
+.answers { max-width: 56rem; padding-left: 1.2rem; }
+.answers li { margin: .3rem 0; overflow-wrap: anywhere; }
 .answers li:first-child { font-weight: 600; }
 #the-answers, #the-answers h2 { border: 0; margin-top: .5rem; }
-th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper); white-space: normal; min-width: 8rem; }
+th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper);
+  white-space: normal; min-width: 8rem; }
 @media (min-width: 60rem) { th:first-child, td:first-child { min-width: 13rem; } }
-table { font-size: .82rem; border-collapse: separate; border-spacing: 0; } th, td { padding: .26rem .45rem; }
+table { font-size: .82rem; border-collapse: separate; border-spacing: 0; }
+th, td { padding: .26rem .45rem; }
 nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; list-style: none; padding: 0; }
 tbody tr:hover td { background: var(--band); }
 th button { all: unset; cursor: pointer; display: block; width: 100%; font-weight: 600; }
@@ -118,9 +124,11 @@ th[aria-sort=descending] button::after { content: "\\00a0\\2193"; color: var(--l
 figure { overflow-x: auto; } figure img { width: 100%; min-width: 30rem; max-width: 52rem; }
 summary { cursor: pointer; font-weight: 600; padding: .4rem 0; color: var(--link); }
 @media (max-width: 30rem) { table { font-size: .8rem; } th, td { padding: .2rem .35rem; } }
-@media print { body { font-size: 9.5pt; } nav { display: none; } table { font-size: 6.6pt; min-width: 0; }
-  th, td { padding: .1rem .22rem; } td { white-space: normal; } th button::after { content: "" !important; }
-  figure img { min-width: 0; max-width: 15cm; } figure, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } }
+@media print { body { font-size: 9.5pt; } nav { display: none; }
+  table { font-size: 6.6pt; min-width: 0; } th, td { padding: .1rem .22rem; }
+  td { white-space: normal; } th button::after { content: "" !important; }
+  figure img { min-width: 0; max-width: 15cm; } figure, tr { break-inside: avoid; }
+  h2, h3 { break-after: avoid; } }
 """
 
 # The first click on a column of numbers puts the largest first, on one of text the first of the
@@ -129,9 +137,11 @@ summary { cursor: pointer; font-weight: 600; padding: .4rem 0; color: var(--link
 _SCRIPT = """
 'use strict';
 function key(cell){
-  const given=cell.dataset.value, text=(given!==undefined?given:cell.textContent).trim().replace(/\\u2212/g,'-');
+  const given=cell.dataset.value;
+  const text=(given!==undefined?given:cell.textContent).trim().replace(/\\u2212/g,'-');
   if(text==='')return null;
-  const number=/^[-+]?(\\d|inf)/.test(text)?(text==='inf'?Infinity:parseFloat(text.replace(/,/g,''))):NaN;
+  const finite=text.replace(/,/g,'');
+  const number=/^[-+]?(\\d|inf)/.test(text)?(text==='inf'?Infinity:parseFloat(finite)):NaN;
   return Number.isNaN(number)?text.toLowerCase():number;
 }
 function compare(a,b){
@@ -149,5 +159,7 @@ for(const button of document.querySelectorAll('th button'))button.addEventListen
   const full=rows.filter(([k])=>k!==null).sort((a,b)=>up?compare(a[0],b[0]):compare(b[0],a[0]));
   body.append(...full.concat(rows.filter(([k])=>k===null)).map(([,row])=>row));
 });
-addEventListener('beforeprint',()=>{for(const d of document.querySelectorAll('details'))d.open=true});
+addEventListener('beforeprint',()=>{
+  for(const d of document.querySelectorAll('details'))d.open=true;
+});
 """

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 Array = np.ndarray
-#: (u, v, footprint) in metres -> albedo (N, 3) in linear light, and the slope (N, 2) of small bumps.
+#: (u, v, footprint) in metres -> linear albedo (N, 3), and the slope (N, 2) of small bumps.
 Material = Callable[[Array, Array, Array], tuple[Array, Array | None]]
 #: (u, v) in metres -> height over the plane in metres.
 Height = Callable[[Array, Array], Array]
