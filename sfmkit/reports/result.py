@@ -90,12 +90,14 @@ class ResultTable:
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise InputError(
-                    f"table {self.name} has {len(self.columns)} columns and a row of {len(row)} cells"
+                    f"table {self.name} has {len(self.columns)} columns and a row of {len(row)} "
+                    "cells"
                 )
             for column, cell in zip(self.columns, row):
                 if isinstance(cell, bool) or not isinstance(cell, (str, int, float, type(None))):
                     raise InputError(
-                        f"table {self.name}, column {column.name}: {cell!r} is neither text nor a number"
+                        f"table {self.name}, column {column.name}: {cell!r} is neither text nor "
+                        "a number"
                     )
                 try:
                     column.show(cell)

@@ -151,7 +151,8 @@ def answers(f: Findings) -> list[str]:
     value, low, high = f.auc[s.measure.main].at(f.best)
     failed = int(s.failures[f.best])
     words = [
-        f"Best: {s.label(f.best)}, with an area under the curve up to {unit} of {value:.3f}{_between(low, high)}, over {n} "
+        f"Best: {s.label(f.best)}, with an area under the curve up to {unit} of "
+        f"{value:.3f}{_between(low, high)}, over {n} "
         f"{_plural(n, 'pair')} and {s.seeds} {_plural(s.seeds, 'seed')}"
         + (
             f"; {failed} of its {runs} runs gave no answer."
@@ -161,18 +162,21 @@ def answers(f: Findings) -> list[str]:
     ]
     if broken := int(s.broken.sum()):
         words.append(
-            f"{broken:,} of all {s.broken.size:,} runs failed, and count as the worst there is; the column failure of the sweep's "
+            f"{broken:,} of all {s.broken.size:,} runs failed, and count as the worst there is; "
+            "the column failure of the sweep's "
             "table says why."
         )
     if n < _FEW:
         words.append(
-            f"So few pairs ({n}) make intervals that are too narrow, and say little about other photographs."
+            f"So few pairs ({n}) make intervals that are too narrow, and say little about other "
+            "photographs."
         )
     if f.runner_up is None:
         return words
     second, *others = f.questions
     words.append(
-        f"Next is {s.label(second.second)}, {second.value:.3f} behind{_between(second.low, second.high)}: "
+        f"Next is {s.label(second.second)}, {second.value:.3f} "
+        f"behind{_between(second.low, second.high)}: "
         + _verdict(second, n, len(f.questions))
         + (
             f" If the {n} pairs were drawn again, {s.label(f.best)} would come first in about "
@@ -213,9 +217,10 @@ def _fusion(f: Findings, d: Difference) -> str:
     s = f.scores
     reach, alone = (float(s.quality[:, c].mean()) for c in (d.first, d.second))
     return (
-        f"Does fusing help? All {len(s.operators)} operators together reach {reach:.3f}, the best of them alone, {s.label(d.second)}, "
-        f"{alone:.3f}: {d.value:+.3f}{_between(d.low, d.high)}, better on {d.better} of {len(s.pairs)} pairs and worse on {d.worse}; "
-        + _verdict(d, len(s.pairs), 1)
+        f"Does fusing help? All {len(s.operators)} operators together reach {reach:.3f}, the "
+        f"best of them alone, {s.label(d.second)}, "
+        f"{alone:.3f}: {d.value:+.3f}{_between(d.low, d.high)}, better on {d.better} of "
+        f"{len(s.pairs)} pairs and worse on {d.worse}; " + _verdict(d, len(s.pairs), 1)
     )
 
 
@@ -238,9 +243,9 @@ def _cheapest(f: Findings) -> str:
     if cheap == f.best:
         return words + "None of them is faster."
     mine, best = float(f.seconds.value[cheap]), float(f.seconds.value[f.best])
-    return (
-        words
-        + f"The fastest of them is {s.label(cheap)}: {mine:.2f} s a pair where the best takes {best:.2f} s."
+    return words + (
+        f"The fastest of them is {s.label(cheap)}: {mine:.2f} s a pair where the best takes "
+        f"{best:.2f} s."
     )
 
 
@@ -263,7 +268,8 @@ def _shares(f: Findings) -> list[str]:
             idle = [c.operators[k] for k in order if c.without.low[k] <= 0]
             if idle:
                 words.append(
-                    f"All together would not be shown to be worse without {_list(idle, 'or')} (each by itself{which})."
+                    f"All together would not be shown to be worse without {_list(idle, 'or')} "
+                    f"(each by itself{which})."
                 )
     return words
 
@@ -273,7 +279,10 @@ def _verdict(d: Difference, pairs: int, tests: int) -> str:
     if d.real:
         return f"the difference is real ({p})."
     if least_p(pairs, tests) >= ALPHA:
-        return f"so few pairs cannot show a difference, however large (p could not be below {least_p(pairs, tests):.2f})."
+        return (
+            "so few pairs cannot show a difference, however large (p could not be below "
+            f"{least_p(pairs, tests):.2f})."
+        )
     return f"the difference is not shown to be real ({p})."
 
 

@@ -22,16 +22,26 @@ FOLDER, PAGE = "report", "report.html"
 
 
 _NOTES = (
-    "A setup is a combination of operators with a preset. All are compared by the area under the curve (AUC) of the share of "
-    "runs whose error is below e, for e from 0 to a threshold, divided by the threshold: 1 means no error at all, 0 that no run came "
-    "below the threshold. A run that gave no answer, or failed, is in every number as the worst there is; nothing is left out.",
-    "Intervals hold the true value in about 95 of 100 such experiments. They are bootstrap intervals over the pairs, and a pair brings "
-    "all its seeds along: more seeds sharpen the picture of these pairs, only more pairs say more about others. When two "
-    "intervals overlap, the difference may still be real, for both setups ran on the same pairs: look it up among the differences.",
-    "A p-value is the chance of a difference at least as large as this one if there were none. Among hundreds of differences some "
-    "are large by chance, so p-values are corrected by Holm's method for all that are tested together. 'Not shown' does not mean "
-    "equal: it means that these pairs cannot tell. The interval is of the mean, which a few hard pairs can move; the test asks whether "
-    "the pairs agree. Where only the interval leaves zero out, a few pairs decide: look at them. The best was chosen on the same pairs, which flatters it a little.",
+    "A setup is a combination of operators with a preset. All are compared by the area under the "
+    "curve (AUC) of the share of "
+    "runs whose error is below e, for e from 0 to a threshold, divided by the threshold: 1 means "
+    "no error at all, 0 that no run came "
+    "below the threshold. A run that gave no answer, or failed, is in every number as the worst "
+    "there is; nothing is left out.",
+    "Intervals hold the true value in about 95 of 100 such experiments. They are bootstrap "
+    "intervals over the pairs, and a pair brings "
+    "all its seeds along: more seeds sharpen the picture of these pairs, only more pairs say "
+    "more about others. When two "
+    "intervals overlap, the difference may still be real, for both setups ran on the same pairs: "
+    "look it up among the differences.",
+    "A p-value is the chance of a difference at least as large as this one if there were none. "
+    "Among hundreds of differences some "
+    "are large by chance, so p-values are corrected by Holm's method for all that are tested "
+    "together. 'Not shown' does not mean "
+    "equal: it means that these pairs cannot tell. The interval is of the mean, which a few hard "
+    "pairs can move; the test asks whether "
+    "the pairs agree. Where only the interval leaves zero out, a few pairs decide: look at them. "
+    "The best was chosen on the same pairs, which flatters it a little.",
 )
 
 
@@ -116,7 +126,8 @@ def _together(ablation: Ablation, folder: Path) -> Section | None:
     best = [labels[c] for c in ranking.order]
     first = next((g for g in ranking.groups if g[0] == 0), (0, 0))
     words = (
-        f"On average over all {ranking.pairs} pairs {best[0]} ranks first ({ranking.average[ranking.order[0]]:.2f} of {len(labels)}); "
+        f"On average over all {ranking.pairs} pairs {best[0]} ranks first "
+        f"({ranking.average[ranking.order[0]]:.2f} of {len(labels)}); "
         + (
             f"{first[1]} others are within the critical difference of it."
             if first[1]
@@ -134,7 +145,8 @@ def _together(ablation: Ablation, folder: Path) -> Section | None:
 def _lead(ablation: Ablation) -> str:
     left = ", ".join(f"{n:,} rows of {name}" for name, n in ablation.without_truth.items())
     return (
-        "Which detectors help, on which data, by how much, and with which uncertainty? The answers first, for each data set; then what they rest on."
+        "Which detectors help, on which data, by how much, and with which uncertainty? The "
+        "answers first, for each data set; then what they rest on."
         + (f" Without a true geometry to compare with, and so not judged: {left}." if left else "")
     )
 
@@ -148,11 +160,15 @@ def _result(table: AblationTable, ablation: Ablation, sections: list[Section]) -
     versions = sorted({v for v in table["versions"] if v})
     if not versions:
         raise InputError(
-            "every run of this ablation failed, so there is nothing to compare; the column `failure` says why"
+            "every run of this ablation failed, so there is nothing to compare; the column "
+            "`failure` says why"
         )
     return Result(
         name="ablation",
-        title=f"Ablation: {setups} setups on {pairs} pairs of {', '.join(b.dataset for b in ablation.blocks)}",
+        title=(
+            f"Ablation: {setups} setups on {pairs} pairs of "
+            f"{', '.join(b.dataset for b in ablation.blocks)}"
+        ),
         command="sfmkit ablate report",
         tables=made,
         figures=drawn,
