@@ -20,10 +20,12 @@ from ..recording import (
 from ..recording.embedded import ExplorerViewer, RecordingViewer
 
 FOLDER = Path("out")  # where a notebook writes its recording
-STORY = "story.rrd"  # the recordings of all lessons in one
+STORY = "story"  # the recordings of all lessons in one
+PLANE = "plane"  # prefix of the lesson on homographies, whose photographs are others
 STORY_PAGES = (
     "Keypoints",
-    "Matches",
+    "Fusion",
+    ("Homography", Layout(prefix=PLANE)),
     "Epipolar geometry",
     "Motion",
     "Triangulation",
@@ -83,15 +85,8 @@ def recording_viewer(
     return NotebookExplorer(result, width=width, height=height)
 
 
-def show_recording(
-    rec: Any,
-    name: str,
-    pages: Sequence[str],
-    layout: Layout | None = None,
-    *,
-    height: Any = 560,
-) -> NotebookViewer:
-    """Write what was logged to ``out/NAME.rrd`` and show it; name the command that opens it.
+def save_lesson(rec: Any, name: str, pages: Sequence[str], layout: Layout | None = None) -> Path:
+    """Write what was logged to ``out/NAME.rrd``, and print the command that opens it.
 
     The recordings of all notebooks whose streams have the same name are also merged to
     ``out/story.rrd``, so that the lessons add up to one recording.
@@ -101,7 +96,6 @@ def show_recording(
         name: of the file.
         pages: pages of the viewer, the first one open (:data:`sfmkit.recording.PAGES`).
         layout: what is known of the recording.
-        height: of the viewer, pixels of the page.
 
     Raises:
         InputError: an unknown page.
@@ -111,9 +105,25 @@ def show_recording(
     FOLDER.mkdir(exist_ok=True)
     path = write_stream(rec, FOLDER / f"{name}.rrd", blueprint)
     print(f"sfmkit view {path}")
-    parts = [p for p in sorted(FOLDER.glob("*.rrd")) if p.name != STORY]
+    parts = [p for p in sorted(FOLDER.glob("*.rrd")) if p.stem != STORY]
     parts = [p for p in parts if recording_ids(p) == {rec.get_recording_id()}]
     if len(parts) > 1:
-        merge_recordings(FOLDER / STORY, parts, make_blueprint(STORY_PAGES, layout))
-        print(f"sfmkit view {FOLDER / STORY}  # this and {len(parts) - 1} other notebooks in one")
-    return NotebookViewer.of_file(path, height=height)
+        story = merge_recordings(FOLDER / f"{STORY}.rrd", parts, make_blueprint(STORY_PAGES))
+        print(f"sfmkit view {story}   # {len(parts)} notebooks in one recording")
+    return path
+
+
+def show_recording(
+    rec: Any,
+    name: str,
+    pages: Sequence[str],
+    layout: Layout | None = None,
+    *,
+    height: Any = 560,
+) -> NotebookViewer:
+    """Write a recording as :func:`save_lesson` does, and show it.
+
+    Args:
+        height: of the viewer, pixels of the page.
+    """
+    return NotebookViewer.of_file(save_lesson(rec, name, pages, layout), height=height)

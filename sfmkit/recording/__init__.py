@@ -12,7 +12,7 @@ from .log import (
 )
 from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty
 from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
-from .log_photos import log_keypoints, log_matches, log_photographs
+from .log_photos import log_correspondences, log_keypoints, log_matches, log_photographs
 from .log_steps import log_ransac, log_refinement, log_runs
 from .pages import RunPage, save_pages
 from .read import Recording, RecordingError, read_recording
@@ -29,6 +29,7 @@ __all__ = [
     "layout_of",
     "log_account",
     "log_cloud",
+    "log_correspondences",
     "log_epipolar_lines",
     "log_fusion",
     "log_homography",

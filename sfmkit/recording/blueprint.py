@@ -20,7 +20,7 @@ _UP = (0, -1, 0)  # the frame of camera 1 has y down
 _FORWARD = np.array([-0.35, 0.42, 0.84])
 _FIELD = np.tan(np.radians(55 / 2))  # half the viewer's vertical field of view
 _ASPECT = 1.25  # width over height of the narrowest 3-D view at 1280 x 800
-LEGEND_SHARE = 11  # a page is this many times higher than its legend
+LEGEND_SHARE = 10  # a page is this many times higher than its legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def explorer_blueprint(result: Reconstruction) -> rrb.Blueprint:
 
 
 def make_blueprint(
-    pages: Sequence[str],
+    pages: Sequence[str | tuple[str, Layout]],
     layout: Layout | None = None,
     *,
     selection: Literal["expanded", "collapsed"] = "expanded",
@@ -91,18 +91,19 @@ def make_blueprint(
     """Lay out pages, the first of them open.
 
     Args:
-        pages: names out of :data:`PAGES`.
+        pages: names out of :data:`PAGES`, or (name, layout) for a page with a layout of its own.
         layout: what is known of the recording; default: everything may be there.
         selection: state of the selection panel.
 
     Raises:
         InputError: an unknown page.
     """
-    for name in pages:
+    known = layout or Layout()
+    chosen = [(page, known) if isinstance(page, str) else page for page in pages]
+    for name, _ in chosen:
         if name not in PAGES:
             raise InputError(f"there is no page {name!r}; the pages are {', '.join(PAGES)}")
-    known = layout or Layout()
-    tabs = [_with_legend(PAGES[name](known), name, known) for name in pages]
+    tabs = [_with_legend(PAGES[name](own), name, own) for name, own in chosen]
     # The viewer chooses the timeline `stage` itself; naming it here makes the viewer warn until the
     # first value has arrived.
     return rrb.Blueprint(
@@ -135,7 +136,7 @@ def _space(layout: Layout, name: str, *what: str, near: bool = False) -> rrb.Spa
     cameras = [f"{world}/cam{i}{rest}" for i in (1, 2) for rest in ("", "/image", "/image/photo")]
     seen = layout.seen
     if near:
-        seen = np.array([[x, y, z] for x in (-1.6, 1.6) for y in (-0.9, 0.9) for z in (-1.2, 1.2)])
+        seen = np.array([[x, y, z] for x in (-1.3, 1.3) for y in (-0.6, 0.6) for z in (-0.6, 0.6)])
     eye = None
     if seen is not None:
         position, target = eye_for(seen)
@@ -251,6 +252,13 @@ def _matches(layout: Layout) -> rrb.Grid:
     )
 
 
+def _fusion(layout: Layout) -> rrb.Vertical:
+    return rrb.Vertical(
+        _side_by_side(layout, "Tentative, a sample", "tentative"),
+        _side_by_side(layout, "Merged duplicates, a sample", "merged"),
+    )
+
+
 def _homography(layout: Layout) -> rrb.Vertical:
     views = [_image(layout, i, f"Image {i}: the other's outline", "homography") for i in (1, 2)]
     return rrb.Vertical(
@@ -344,7 +352,7 @@ def _account(layout: Layout) -> rrb.Horizontal:
         rrb.BarChartView(
             origin=f"{root}/account/chart/{quantity}",
             name=quantity,
-            plot_legend=rrb.PlotLegend(visible=quantity == QUANTITIES[0]),
+            plot_legend=rrb.PlotLegend(visible=False),
         )
         for quantity in QUANTITIES
     ]
@@ -367,6 +375,7 @@ PAGES: dict[str, Callable[[Layout], Any]] = {
     "Explore": _explore,
     "Keypoints": _keypoints,
     "Matches": _matches,
+    "Fusion": _fusion,
     "Homography": _homography,
     "Robust estimation": _robust,
     "Epipolar geometry": _epipolar,

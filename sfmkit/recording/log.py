@@ -32,7 +32,13 @@ from . import marks, text
 from .blueprint import QUANTITIES, default_blueprint
 from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty, operator_colours
 from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
-from .log_photos import log_keypoints, log_matches, log_photographs, side_by_side
+from .log_photos import (
+    log_correspondences,
+    log_keypoints,
+    log_matches,
+    log_photographs,
+    side_by_side,
+)
 from .log_steps import log_ransac
 from .stream import MAGENTA, columns, drain, new_stream, put
 from .trace import Trace, matches_to_rows, trace, trace_keypoints
@@ -167,14 +173,16 @@ def log_legend(rec: rr.RecordingStream, operators: Sequence[str], prefix: str = 
     put(rec, prefix, "", rr.AnnotationContext(infos))
     names = [*operators, "outlier", "other geometry"]
     colours = [*map(operator_rgb, operators), (128, 128, 128), MAGENTA]
-    # One row of labels, each as wide as its text, in units of a character.
+    # One row of bars, each as wide as its name in units of a character; the viewer writes names
+    # below. It fits the view to the marks without their names, so a transparent bar makes room.
     widths = np.array([len(name) + 5.0 for name in names])
-    x = np.cumsum(widths) - widths / 2
+    x = np.append(np.cumsum(widths) - widths / 2, widths.sum() / 2)
+    y = np.append(np.zeros(len(names)), 2.2)
     swatches = rr.Boxes2D(
-        centers=np.column_stack([x, np.zeros(len(x))]),
-        half_sizes=np.column_stack([widths / 2 - 0.5, np.full(len(x), 1.0)]),
-        colors=colours,
-        labels=names,
+        centers=np.column_stack([x, y]),
+        half_sizes=np.column_stack([np.append(widths / 2 - 0.5, 0.1), np.full(len(x), 0.15)]),
+        colors=[*((*colour, 255) for colour in colours), (0, 0, 0, 0)],
+        labels=[*names, ""],
         show_labels=True,
         radii=rr.Radius.ui_points(1.5),
     )
@@ -295,20 +303,10 @@ def _log_two_view(
     sizes = (cameras[0].size_wh, cameras[1].size_wh)
     x1, x2 = (marks.ideal_pixels(x, c) for x, c in zip((corr.x1, corr.x2), cameras))
     inliers, operator_id = view.inliers.numpy(), corr.operator_id.numpy()
-    for kind, chosen in (("inliers", inliers), ("outliers", ~inliers)):
-        for k, name in enumerate(corr.operators):
-            rows = np.flatnonzero(chosen & (operator_id == k))
-            if len(rows):
-                log_matches(
-                    rec,
-                    x1[rows],
-                    x2[rows],
-                    width1=sizes[0][0],
-                    operator=name,
-                    kind=kind,
-                    details=_match_columns(result, traced, rows),
-                    prefix=prefix,
-                )
+    own = _match_columns(result, traced)
+    log_correspondences(
+        rec, corr, inliers, width1=sizes[0][0], cameras=cameras, details=own, prefix=prefix
+    )
     for number, x in ((1, x1), (2, x2)):
         _log_survivors(rec, number, _by_operator(result, x, inliers), "estimate", prefix)
     if view.F is not None and inliers.any():
@@ -430,18 +428,19 @@ def _by_operator(
     return [(name, x[keep & (operator_id == k)]) for k, name in enumerate(corr.operators)]
 
 
-def _match_columns(result: Reconstruction, traced: Trace, rows: np.ndarray) -> dict[str, Any]:
+def _match_columns(result: Reconstruction, traced: Trace) -> dict[str, Any]:
+    """Columns of all correspondences."""
     corr = result.correspondences
     return {
-        "match": rows,
-        "operators": traced.operators[rows],
-        "fate": traced.fate[rows],
-        "distance_px": traced.distance_px[rows],
-        "point": traced.point[rows],
-        "x1": corr.x1.numpy()[rows],
-        "x2": corr.x2.numpy()[rows],
-        "descriptor_distance": corr.distance.numpy()[rows],
-        "descriptor_ratio": corr.ratio.numpy()[rows],
+        "match": np.arange(len(corr)),
+        "operators": traced.operators,
+        "fate": traced.fate,
+        "distance_px": traced.distance_px,
+        "point": traced.point,
+        "x1": corr.x1.numpy(),
+        "x2": corr.x2.numpy(),
+        "descriptor_distance": corr.distance.numpy(),
+        "descriptor_ratio": corr.ratio.numpy(),
     }
 
 

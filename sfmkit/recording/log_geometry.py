@@ -205,7 +205,7 @@ def _log_candidate(
     # Two of the poses share a centre and two look the same way, so every label gets its own height
     # above the camera.
     dot = rr.Points3D(
-        [[0, -0.45 * frustum * (number - 2.5), frustum]],
+        [[0, -0.8 * frustum * (number - 2.5), frustum]],
         colors=colour,
         radii=rr.Radius.ui_points(5),
         labels=f"pose {number}: {in_front:,} of {total:,}{' (chosen)' if chosen else ''}",

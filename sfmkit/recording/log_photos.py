@@ -10,7 +10,7 @@ import rerun as rr
 
 from ..errors import InputError, OutputError
 from ..io.images import Image
-from ..types import Camera, Features, Matches
+from ..types import Camera, Correspondences, Features, Matches
 from ..viz.colours import operator_rgb
 from . import marks
 from .stream import GREY, Cameras, Details, beside, columns, pinhole, points_2d, put, strokes
@@ -202,6 +202,41 @@ def log_matches(
     lines = side_by_side(a[some], b[some], width1, colour)
     own = {key: value[some] for key, value in own.items()}
     put(rec, prefix, ["matches", kind, name], lines, columns(**own), stage=KINDS[kind])
+
+
+def log_correspondences(
+    rec: rr.RecordingStream,
+    corr: Correspondences,
+    inliers: Any,
+    *,
+    width1: int,
+    cameras: Cameras | None = None,
+    details: Details | None = None,
+    prefix: str = "",
+) -> None:
+    """Log fused correspondences by operator, inliers and outliers apart.
+
+    Args:
+        corr: N correspondences; the operator of each is the one whose pixels were kept.
+        inliers: (N,) bool.
+        width1, cameras, details: as in :func:`log_matches`.
+    """
+    inliers = np.asarray(inliers, dtype=bool)
+    for kind, chosen in (("inliers", inliers), ("outliers", ~inliers)):
+        for k, name in enumerate(corr.operators):
+            rows = np.flatnonzero(chosen & (corr.operator_id.numpy() == k))
+            if len(rows):
+                log_matches(
+                    rec,
+                    corr.x1.numpy()[rows],
+                    corr.x2.numpy()[rows],
+                    width1=width1,
+                    operator=name,
+                    kind=kind,
+                    cameras=cameras,
+                    details={key: value[rows] for key, value in (details or {}).items()},
+                    prefix=prefix,
+                )
 
 
 def side_by_side(x1: np.ndarray, x2: np.ndarray, width1: int, colours: Any) -> rr.LineStrips2D:

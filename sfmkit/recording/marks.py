@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 import torch
@@ -13,6 +11,20 @@ from torch import Tensor
 
 from ..geometry.distortion import undistort_pixels
 from ..types import Camera, PointCloud
+from ..viz.sampling import spread, spread_strongest
+
+__all__ = [
+    "ellipsoids",
+    "example_point",
+    "ideal_image",
+    "ideal_pixels",
+    "largest_sigma",
+    "neighbour_density",
+    "orientation_ticks",
+    "spread",
+    "spread_strongest",
+    "warped_outline",
+]
 
 
 def ideal_pixels(x: np.ndarray | Tensor, camera: Camera | None) -> np.ndarray:
@@ -30,30 +42,6 @@ def ideal_image(rgb: np.ndarray, camera: Camera) -> np.ndarray:
     if camera.model == "fisheye":
         return cv2.fisheye.undistortImage(rgb, camera.K, camera.distortion, Knew=camera.K)
     return cv2.undistort(rgb, camera.K, camera.distortion)
-
-
-def spread(x: np.ndarray, n: int) -> np.ndarray:
-    """Choose rows of at most n points of (N, 2) that are spread evenly over the image.
-
-    The points are divided into the cells of a grid, and the first of every cell are taken before
-    any second. Of points sorted by strength, this chooses the strongest of every cell.
-    """
-    if len(x) <= n:
-        return np.arange(len(x))
-    cells = max(2, round(np.sqrt(n)))
-    low, high = x.min(0), x.max(0)
-    cell = np.minimum(((x - low) / np.maximum(high - low, 1e-9) * cells).astype(int), cells - 1)
-    key = cell[:, 0] * cells + cell[:, 1]
-    order = np.argsort(key, kind="stable")
-    starts = np.concatenate(([True], np.diff(key[order]) > 0))
-    rank = np.arange(len(x)) - np.maximum.accumulate(np.where(starts, np.arange(len(x)), 0))
-    return order[np.argsort(rank, kind="stable")][:n]
-
-
-def spread_strongest(x: np.ndarray, scores: Any, n: int) -> np.ndarray:
-    """Choose rows of n strong keypoints (N, 2), spread evenly; without scores, the first ones."""
-    order = np.arange(len(x)) if scores is None else np.argsort(-np.asarray(scores), kind="stable")
-    return order[spread(x[order], n)]
 
 
 def orientation_ticks(keypoints: np.ndarray, scales: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The words of a recording: the story stage by stage and the account, in Markdown."""
+"""Texts of a recording in Markdown: a description of each stage, and per-operator statistics."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._utils.markdown import table_row
 from ..pipeline.account import ALL, HEAD, OperatorAccount, account_cells
+from .stream import STAGES
 
 if TYPE_CHECKING:
     from ..pipeline.reconstruction import Reconstruction
@@ -16,33 +16,34 @@ if TYPE_CHECKING:
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Write a Markdown table, its first column to the left, the others to the right."""
-    rule = f"| :-- |{' --: |' * (len(head) - 1)}"
-    return "\n".join([table_row(head), rule, *map(table_row, rows)])
+    """Format a Markdown table, the first column aligned left, the others right."""
+    lines = [head, (":--", *["--:"] * (len(head) - 1)), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def account_markdown(account: Mapping[str, OperatorAccount]) -> str:
-    """The account as a table."""
+    """Format the per-operator statistics as a table."""
     rows = [
         account_cells("**all**" if name == ALL else name, a.as_dict())
         for name, a in account.items()
     ]
     note = (
-        "*fused*: correspondences that carry the operator after coincident ones were merged. *alone*: points that no other "
-        "operator found. *share*: of the cloud's points. *loss*: fused correspondences that did not become a point."
+        "*fused*: correspondences of the operator after duplicates were merged. *alone*: points that "
+        "no other operator found. *share*: of the points of the cloud. *loss*: fused "
+        "correspondences that did not become a point."
     )
     return f"{table(HEAD, rows)}\n\n{note}"
 
 
 def timings_markdown(timings_s: Mapping[str, float]) -> str:
-    """Seconds per stage as a table."""
+    """Format the seconds of each stage as a table."""
     return table(
         ("stage", "seconds"), [(name, f"{seconds:.2f}") for name, seconds in timings_s.items()]
     )
 
 
 def verdict_markdown(view: TwoView) -> str:
-    """The verdict, its reason and the numbers it rests on."""
+    """Format the verdict, its reason and the evidence."""
     rows = [
         (
             name.replace("_", " "),
@@ -54,12 +55,12 @@ def verdict_markdown(view: TwoView) -> str:
 
 
 def report_markdown(result: Reconstruction) -> str:
-    """Verdict, pose, account and timings on one page."""
+    """Format verdict, pose, per-operator statistics and timings as one page."""
     view = result.two_view
     facts = [f"## {view.verdict.value}", view.reason]
     if view.R is not None:
         angle = np.degrees(np.arccos(np.clip((np.trace(view.R.numpy()) - 1) / 2, -1, 1)))
-        pose = f"Camera 2 is turned by **{angle:.2f}°** against camera 1"
+        pose = f"Rotation from camera 1 to camera 2 **{angle:.2f}°**"
         if view.t is not None:
             pose += (
                 ", translation direction **("
@@ -72,14 +73,15 @@ def report_markdown(result: Reconstruction) -> str:
     if result.errors is not None:
         rotation, translation = (result.errors[k] for k in ("rotation_deg", "translation_deg"))
         facts.append(
-            f"Against the truth: rotation **{rotation:.3f}°**, translation direction **{translation:.3f}°** off."
+            f"Errors with respect to the true pose: rotation **{rotation:.3f}°**, "
+            f"translation direction **{translation:.3f}°**."
         )
     if result.reprojection_rmse_px is not None:
         facts.append(
             f"Reprojection error **{result.reprojection_rmse_px:.3f} px** (root mean square)."
         )
     facts += [
-        "## Account",
+        "## Per-operator statistics",
         account_markdown(result.account),
         "## Time",
         timings_markdown(result.timings_s),
@@ -90,47 +92,42 @@ def report_markdown(result: Reconstruction) -> str:
 
 
 def story(result: Reconstruction) -> dict[str, str]:
-    """What happened at each stage, in a sentence or two."""
-    images, account, view = result.images, result.account, result.two_view
+    """Describe what happened at each stage, in one to three sentences."""
+    account, view, cloud = result.account, result.two_view, result.cloud
     total = account[ALL]
     per = {name: line for name, line in account.items() if name != ALL}
-    told = {
-        "read": "Two photographs, "
-        + " and ".join(f"{w} x {h} pixels" for w, h in (image.size_wh for image in images))
-        + f". Focal lengths: {view.camera1.source}, {view.camera2.source}. Nothing is known yet of how the "
-        "cameras stand to each other.",
-        "detect": "Keypoints in image 1 and 2: "
-        + ", ".join(
-            f"**{name}** {a.keypoints[0]:,} and {a.keypoints[1]:,}" for name, a in per.items()
-        )
-        + ".",
-        "match": "Each operator matches its own keypoints: "
-        + ", ".join(f"**{name}** {a.matches:,}" for name, a in per.items())
-        + ". The others have no counterpart.",
-        "fuse": f"{total.matches:,} matches of all operators become **{total.initial:,}** correspondences; "
-        f"{total.matches - total.initial:,} were the same pair of places found again and were merged.",
-        "estimate": f"**{total.inliers:,}** of {total.initial:,} correspondences agree on one geometry. Verdict: "
-        f"**{view.verdict.value}**. {view.reason}",
+    sizes = " and ".join(f"{w} x {h} pixels" for w, h in (i.size_wh for i in result.images))
+    keypoints = ", ".join(
+        f"**{name}** {a.keypoints[0]:,} and {a.keypoints[1]:,}" for name, a in per.items()
+    )
+    matches = ", ".join(f"**{name}** {a.matches:,}" for name, a in per.items())
+    described = {
+        "read": f"Two photographs, {sizes}. Focal lengths: {view.camera1.source}, "
+        f"{view.camera2.source}. The relative pose of the cameras is not known yet.",
+        "detect": f"Keypoints in image 1 and 2: {keypoints}.",
+        "match": f"Matches within each operator: {matches}.",
+        "fuse": f"{total.matches:,} matches of all operators become **{total.initial:,}** "
+        f"correspondences; {total.matches - total.initial:,} duplicates were merged.",
+        "estimate": f"**{total.inliers:,}** of {total.initial:,} correspondences agree with one "
+        f"geometry. Verdict: **{view.verdict.value}**. {view.reason}",
     }
-    if view.R is not None:
-        told["pose"] = (
-            "An essential matrix allows four poses; the one that puts the points in front of both cameras is right."
+    if view.R is not None and view.t is None:
+        described["pose"] = "The camera only rotated. The translation cannot be determined."
+    elif view.R is not None:
+        described["pose"] = (
+            "An essential matrix allows four poses. In the right one the points are in front of "
+            "both cameras."
         )
-        if view.t is None:
-            told["pose"] = (
-                "The camera only turned: the rotation is known, and the translation cannot be recovered."
-            )
-    if result.cloud is not None:
-        told["triangulate"] = (
-            f"**{len(result.cloud):,}** points, where the two rays of a correspondence meet. Select one in the 3-D view: "
-            "it lights up in both photographs, and the selection panel names its detectors, pixels, residual and angle."
+    if cloud is not None:
+        described["triangulate"] = (
+            f"**{len(cloud):,}** points, where the two rays of a correspondence meet. Select a "
+            "point in the 3-D view to see its pixels in both photographs and its data on the right."
         )
-        if result.cloud.covariance is not None:
-            told["refine"] = (
-                "Pose and points were adjusted together, and each point has an uncertainty: the ellipsoids are stretched "
-                "along the rays, where depth is uncertain."
-            )
+    if cloud is not None and cloud.covariance is not None:
+        described["refine"] = (
+            "Pose and points were adjusted together. The ellipsoids of uncertainty are long along "
+            "the rays, because depth is least certain."
+        )
     return {
-        stage: f"## {number}. {stage}\n\n{text}"
-        for number, (stage, text) in enumerate(told.items())
+        stage: f"## {STAGES.index(stage)}. {stage}\n\n{words}" for stage, words in described.items()
     }

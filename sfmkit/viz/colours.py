@@ -1,13 +1,12 @@
-"""One colour for an operator, the same in plots, recordings and reports, told apart with any kind
-of colour vision."""
+"""The colour of each operator, the same in plots, recordings and reports."""
 
 from __future__ import annotations
 
 from zlib import crc32
 
-# Okabe & Ito's palette (2008), made to be told apart with any kind of colour vision, its black and
-# yellow left out: black reads as ink and yellow is lost on white paper. Then Tol's "muted" colours
-# (2021) for the operators beyond.
+# Okabe and Ito's palette (2008), distinguishable with every kind of colour vision. Black and yellow
+# are left out: black is used for text, and yellow is not visible on white paper. Further operators
+# have Tol's "muted" colours (2021).
 _ORANGE, _SKY, _GREEN, _BLUE, _RED, _PURPLE = (
     "#E69F00",
     "#56B4E9",
@@ -34,12 +33,11 @@ _REST = ("#117733", "#88CCEE", "#DDCC77", "#CC6677", "#661100", "#6699CC")
 
 
 def operator_colour(name: str) -> str:
-    """``#rrggbb`` of an operator; one that has no colour of its own gets one by its name, always
-    the same."""
+    """Return ``#rrggbb`` of an operator; one outside the table has a colour derived from its name."""
     return _NAMED.get(name) or _REST[crc32(name.encode()) % len(_REST)]
 
 
 def operator_rgb(name: str) -> tuple[int, int, int]:
-    """The same as three bytes."""
+    """Return the colour of an operator as three bytes."""
     c = operator_colour(name)
     return int(c[1:3], 16), int(c[3:5], 16), int(c[5:7], 16)

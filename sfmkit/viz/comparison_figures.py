@@ -1,4 +1,4 @@
-"""A picture of two registered clouds."""
+"""A figure of two registered clouds."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..clouds.comparison import Comparison
-from .figures import MAX_DOTS, unit_of
+from .figures import MAX_DOTS, label_side, unit_of
 
 FIRST, SECOND = "#0072B2", "#E69F00"
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Both clouds from two sides, and what share of each lies how near to the other."""
+    """Draw both clouds in two directions, and the distribution of their distances."""
     figure = Figure(figsize=(15, 4.8), layout="constrained")
     axes = figure.subplots(1, 3)
     clouds = (
@@ -21,10 +21,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
     )
     low, high = np.percentile(clouds[0][0], (1, 99), axis=0)
     pad = 0.05 * (high - low) + 1e-12
-    ours = bool(comparison.first.operators)
-    unit = f" ({unit_of(comparison.first).strip()})" if ours else ""
-    titles = ("from camera 1", "from above") if ours else ("along z", "along y")
-    for ax, j, title in zip(axes, (1, 2), titles):
+    unit = unit_of(comparison.first).strip()
+    unit = f" ({unit})" if unit else ""
+    for ax, j in zip(axes, (1, 2)):
         for xyz, colour, name, _ in clouds:
             some = xyz[:: -(-len(xyz) // (MAX_DOTS // 2))]
             size = float(np.clip(20_000 / len(some), 0.3, 4))
@@ -32,9 +31,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 some[:, 0], some[:, j], s=size, c=colour, alpha=0.5, linewidths=0, label=name
             )
         ax.set(xlim=(low[0] - pad[0], high[0] + pad[0]), ylim=(low[j] - pad[j], high[j] + pad[j]))
-        ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{unit}", title=title)
-        if j == 1 and ours:
-            ax.invert_yaxis()
+        label_side(ax, comparison.first, j)
     for _, colour, name, distance in clouds:
         share = 100 * np.linspace(0, 1, len(distance))
         axes[2].plot(
@@ -48,7 +45,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         xlabel=f"distance to the nearest point of the other cloud{unit}",
         ylabel="share of the points (%)",
     )
-    axes[2].set_title("how near they are")
+    axes[2].set_title("distance between the clouds")
     axes[2].grid(alpha=0.3)
     axes[2].legend(frameon=False, loc="lower right")
     return figure

@@ -12,9 +12,8 @@ from ..clouds.density import Density, Histogram, default_classes, histogram
 from ..types import PointCloud
 from .figures import cloud_figure, unit_of
 
-COLOURS = "cividis"  # reads the same with any kind of colour vision
-# percentile of the counts that gets the last colour; the few beyond would leave the rest in the
-# dark
+COLOURS = "cividis"  # readable with every kind of colour vision
+# percentile of the counts that has the last colour, so that a few outliers do not darken the rest
 _BRIGHTEST = 98
 
 

@@ -1,8 +1,7 @@
-"""Figures of photographs, features, matches and clouds, with labelled axes, in the operators'
-colours.
+"""Figures of photographs, features, matches and clouds, in the operators' colours.
 
-Each function returns a matplotlib Figure, which a notebook shows and :func:`save` writes: no
-display is needed and no global state is touched.
+Each function returns a matplotlib Figure, which a notebook shows and :func:`save` writes. No
+display is needed and no global state is changed.
 """
 
 from __future__ import annotations
@@ -17,14 +16,19 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection, PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
 from ..types import Features, PointCloud
 from .colours import operator_colour
+from .sampling import spread_strongest
 
 if TYPE_CHECKING:
     from ..pipeline.reconstruction import Reconstruction
 
-GREY = "#808080"
+# Lines over photographs have a dark edge, so that they are visible on bright and on dark ground.
+CASING = "#202020"
+MATCH = "#F0E442"  # matches without an operator
+OUTLIER = "#F5F5F5"
 MAX_DOTS = 200_000  # points of a cloud that a picture can show
 
 
@@ -49,17 +53,19 @@ def photographs(
 
 
 def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
-    """The strongest keypoints on the photograph: a circle is the described neighbourhood, a tick
-    its orientation.
+    """Draw strong keypoints, spread over the photograph, with scale and orientation.
+
+    A circle is the neighbourhood that is described, a tick its orientation. The strongest of every
+    cell of a grid are drawn; the strongest of all often lie in a few places.
 
     Args:
-        features: one or several operators' features of this image.
-        most: at most this many of each.
+        features: features of this image, of one or several operators.
+        most: number of keypoints drawn per operator.
     """
     figure, (ax,) = photographs(image, height=5)
     handles = []
     for f in features:
-        some = f.take(np.argsort(-f.scores, kind="stable")[:most])
+        some = f.take(spread_strongest(f.keypoints, f.scores, most))
         colour = operator_colour(f.operator)
         d = some.scales
         ax.add_collection(
@@ -72,7 +78,8 @@ def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
                 offset_transform=ax.transData,
                 facecolors="none",
                 edgecolors=colour,
-                linewidths=0.7,
+                linewidths=1.1,
+                path_effects=_casing(1.1),
             )
         )
         tip = some.keypoints + d[:, None] / 2 * np.column_stack(
@@ -80,9 +87,9 @@ def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
         )
         if some.angles.any():
             ax.add_collection(
-                LineCollection(np.stack([some.keypoints, tip], 1), colors=colour, linewidths=0.7)
+                LineCollection(np.stack([some.keypoints, tip], 1), colors=colour, linewidths=1.1)
             )
-        label = f"{f.operator}: {len(some):,} strongest of {len(f):,}"
+        label = f"{f.operator}: {len(some):,} of {len(f):,}, the strongest of each region"
         handles.append(Line2D([], [], marker="o", ls="", mfc="none", color=colour, label=label))
     figure.legend(
         handles=handles, loc="outside upper center", ncols=max(1, len(handles)), frameon=False
@@ -97,34 +104,36 @@ def match_figure(
     x2: Any,
     right: Any | None = None,
     *,
-    operator: str = "multi",
+    operator: str | None = None,
     most: int = 120,
+    meaning: str = "agree with the geometry",
 ) -> Figure:
-    """Matches as lines between two photographs.
+    """Draw matches as lines between two photographs.
 
     Args:
         x1, x2: (N, 2) pixels.
-        right: (N,) bool; those that are not are drawn grey and dashed.
-        operator: whose colour to use.
-        most: an even sample of this many is drawn.
+        right: (N,) bool; the other matches are drawn white and dashed.
+        operator: name that gives the colour, default yellow.
+        most: number of matches drawn, a random sample.
+        meaning: what `right` says of a match, for the title.
     """
     figure, ax, shift = _side_by_side(image1, image2)
     a, b = np.asarray(x1), np.asarray(x2) + [shift, 0]
     good = np.ones(len(a), dtype=bool) if right is None else np.asarray(right)
     rows = np.random.default_rng(0).permutation(len(a))[:most]
-    for some, colour, style in (
-        (rows[~good[rows]], GREY, "--"),
-        (rows[good[rows]], operator_colour(operator), "-"),
-    ):
-        _lines(ax, a[some], b[some], colors=colour, linewidths=0.8, linestyles=style)
-    share = "" if right is None or not len(a) else f", {good.mean():.0%} of all right"
-    ax.set_title(f"{len(rows):,} of {len(a):,} matches{share}")
+    colour = MATCH if operator is None else operator_colour(operator)
+    _lines(ax, a, b, rows[~good[rows]], OUTLIER, linestyles="--")
+    _lines(ax, a, b, rows[good[rows]], colour)
+    share = "" if right is None or not len(a) else f"; {good.mean():.0%} of all {meaning}"
+    ax.set_title(f"{len(rows):,} of {len(a):,} matches shown{share}")
     return figure
 
 
-def match_picture(result: Reconstruction, most: int = 400) -> Figure:
-    """The matches of a reconstruction: an even sample of each operator's inliers in its colour, and
-    of the outliers in grey.
+def match_picture(result: Reconstruction, most: int = 140) -> Figure:
+    """Draw a sample of the inliers of a reconstruction by operator, and of the outliers.
+
+    The counts are those of the per-operator statistics: a match that several operators found counts
+    for each of them. Its line has the colour of the operator whose pixels were kept.
 
     Args:
         most: lines in all; more would hide one another.
@@ -133,31 +142,32 @@ def match_picture(result: Reconstruction, most: int = 400) -> Figure:
     figure, ax, shift = _side_by_side(*result.images)
     a, b = corr.x1.numpy(), corr.x2.numpy() + [shift, 0]
     rng = np.random.default_rng(0)
-    out = rng.permutation(np.flatnonzero(~inliers))[: most // 4]
-    _lines(ax, a[out], b[out], colors=GREY, linewidths=0.3, alpha=0.6)
+    outliers = np.flatnonzero(~inliers)
+    # As many as their share, so that the picture shows how much was rejected.
+    drawn = rng.permutation(outliers)[: round(most * len(outliers) / max(len(inliers), 1))]
+    _lines(ax, a, b, drawn, OUTLIER, linestyles="--")
     handles = []
     for k, name in enumerate(corr.operators):
         mine = np.flatnonzero(inliers & (corr.operator_id.numpy() == k))
-        some = rng.permutation(mine)[: most // len(corr.operators)]
-        colour = operator_colour(name)
-        _lines(ax, a[some], b[some], colors=colour, linewidths=0.6, alpha=0.8)
-        x, y = np.concatenate([a[some], b[some]]).T
-        ax.scatter(x, y, s=3, color=colour, linewidths=0)
-        handles.append(
-            Line2D([], [], color=colour, label=f"{name}: {len(some):,} of {len(mine):,} inliers")
-        )
-    handles.append(
-        Line2D(
-            [], [], color=GREY, lw=0.5, label=f"{len(out):,} of {int((~inliers).sum()):,} outliers"
-        )
-    )
+        colour, share = operator_colour(name), len(mine) / max(len(inliers), 1)
+        some = rng.permutation(mine)[: int(np.ceil(most * share))]
+        _lines(ax, a, b, some, colour)
+        label = f"{name}: {result.account[name].inliers:,} inliers"
+        handles.append(Line2D([], [], color=colour, lw=2, label=label))
+    edge = [withStroke(linewidth=2.5, foreground=CASING)]
+    label = f"{len(outliers):,} outliers"
+    handles.append(Line2D([], [], color=OUTLIER, lw=1.2, ls="--", path_effects=edge, label=label))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    total = result.account["multi"].inliers
+    ax.set_title(
+        f"{total:,} of {len(corr):,} matches are inliers, of which a sample is shown\n"
+        "(one that several operators found counts for each of them)"
+    )
     return figure
 
 
 def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
-    """A figure with two photographs, its axes in pixels of the first, and where on them the second
-    begins."""
+    """A figure with two photographs, axes in pixels of the first, and the x of the second."""
     first, second = (getattr(image, "rgb", image) for image in (image1, image2))
     (h1, w1), (h2, w2) = first.shape[:2], second.shape[:2]
     shift = round(1.02 * w1)
@@ -176,8 +186,21 @@ def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
     return figure, ax, shift
 
 
-def _lines(ax: Axes, a: np.ndarray, b: np.ndarray, **style: Any) -> None:
-    ax.add_collection(LineCollection(np.stack([a, b], 1), **style))
+def _lines(
+    ax: Axes, a: np.ndarray, b: np.ndarray, rows: np.ndarray, colour: str, **style: Any
+) -> None:
+    """Lines from a to b with a dark edge, and dots at both ends."""
+    segments = np.stack([a[rows], b[rows]], 1)
+    edge = _casing(1.2)
+    ax.add_collection(
+        LineCollection(segments, colors=colour, linewidths=1.2, path_effects=edge, **style)
+    )
+    x, y = segments.reshape(-1, 2).T
+    ax.scatter(x, y, s=9, color=colour, edgecolors=CASING, linewidths=0.5, zorder=3)
+
+
+def _casing(width: float) -> list[Any]:
+    return [withStroke(linewidth=width + 1.2, foreground=CASING)]
 
 
 def epipolar_figure(
@@ -205,24 +228,21 @@ def epipolar_figure(
 
 
 def unit_of(cloud: PointCloud) -> str:
-    """The unit of a cloud's lengths to write after a number: baselines in ours, in others what
-    nobody tells us."""
+    """The unit of a cloud's lengths, to be written after a number; empty if it is not known."""
     return " baselines" if cloud.operators else ""
 
 
 def cloud_figure(
     cloud: PointCloud, *, colour: Any | None = None, label: str = "", cameras: Any | None = None
 ) -> Figure:
-    """The cloud from camera 1's side and from above; a foreign one, whose frame is not known, along
-    z and along y.
+    """Draw a cloud in the directions of camera 1's z axis and y axis.
 
-    Of a large cloud at most 200,000 points are drawn, and none beyond the inner 98 % in any
-    direction.
+    At most 200,000 points are drawn, and only the inner 98 % in each direction.
 
     Args:
         colour: (M,) numbers to colour the points by, None for the photograph's colours.
         label: what the numbers are, with their unit.
-        cameras: (2, 3) centres of the cameras, drawn from above.
+        cameras: (2, 3) centres of the cameras, drawn in the second view.
     """
     near = _shown(cloud)
     figure = Figure(figsize=(12, 4.6), layout="constrained")
@@ -239,7 +259,7 @@ def cloud_figure(
 
 
 def cloud_picture(cloud: PointCloud) -> Figure:
-    """The same two sides twice: in the photograph's colours, and in those of the operators."""
+    """Draw a cloud in two directions, in the colours of the photograph and of the operators."""
     near = _shown(cloud)
     figure = Figure(figsize=(14, 9), layout="constrained")
     axes = figure.subplots(2, 2)
@@ -284,14 +304,10 @@ def _two_sides(
     shades: np.ndarray,
     cmap: str | None = None,
 ) -> PathCollection:
-    """Some points of a cloud from camera 1 and from above, on two axes."""
+    """Some points of a cloud along the z and the y axis, on two axes."""
     X = cloud.xyz.numpy()[near]
-    ours = bool(cloud.operators)
-    unit = f" ({unit_of(cloud).strip()})" if ours else ""
     size = float(np.clip(40_000 / max(len(X), 1), 0.5, 4))
-    for ax, j, title in zip(
-        axes, (1, 2), ("from camera 1", "from above") if ours else ("along z", "along y")
-    ):
+    for ax, j in zip(axes, (1, 2)):
         order = np.argsort(-X[:, 2] if j == 1 else -X[:, 1])  # the nearest last, on top
         dots = ax.scatter(
             X[order, 0],
@@ -301,10 +317,26 @@ def _two_sides(
             linewidths=0,
             cmap=cmap if shades.ndim == 1 else None,
         )
-        ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{unit}", title=title)
-        if j == 1 and ours:
-            ax.invert_yaxis()
+        label_side(ax, cloud, j)
     return dots
+
+
+def label_side(ax: Axes, cloud: PointCloud, j: int) -> None:
+    """Label a view of a cloud's x axis and its axis j, y or z.
+
+    Whether the view along camera 1's y axis is a view from above depends on how the camera was
+    held: a drone's camera looks down, and there the view along z is from above.
+    """
+    ours = bool(cloud.operators)
+    unit = f" ({unit_of(cloud).strip()})" if ours else ""
+    down = {1: ", down", 2: ", depth"} if ours else {1: "", 2: ""}
+    ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{down[j]}{unit}")
+    if ours:
+        ax.set_title("as camera 1 sees it" if j == 1 else "along the y axis of camera 1")
+    else:
+        ax.set_title("along z" if j == 1 else "along y")
+    if j == 1 and ours:
+        ax.invert_yaxis()
 
 
 def save(figure: Figure, path: str | Path, dpi: int = 110) -> None:

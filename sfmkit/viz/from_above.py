@@ -1,5 +1,4 @@
-"""The scene from above as a picture: the cloud, both cameras, and where a length in baselines lies
-on the picture."""
+"""The cloud and both cameras along the y axis of camera 1, as a picture with a scale."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ MOST = 6000  # points drawn
 def scene_from_above(
     cloud: PointCloud, view: TwoView
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """The scene in the plane of camera 1's x and z axes, lengths in baselines.
+    """Draw the scene in the plane of camera 1's x and z axes, lengths in baselines.
 
     Returns:
         (H, W, 3) uint8 picture, and a function from (N, 3) points in camera 1 to their (N, 2)
@@ -33,7 +32,7 @@ def scene_from_above(
     canvas = FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     ax.scatter(X[near, 0], X[near, 2], c=cloud.rgb.numpy()[near] / 255, s=3, linewidths=0)
-    outward = 1 if centre2[0] > 0 else -1  # the names stand on either side of the pair
+    outward = 1 if centre2[0] > 0 else -1  # the names go to either side of the pair
     for name, (x, _, z), side in (
         ("camera 1", np.zeros(3), -outward),
         ("camera 2", centre2, outward),
@@ -54,7 +53,7 @@ def scene_from_above(
         aspect="equal",
         xlabel="x (baselines)",
         ylabel="z (baselines)",
-        title="from above",
+        title="along the y axis of camera 1",
     )
     canvas.draw()
     rgb = np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -1,4 +1,4 @@
-"""A cloud as a picture: every point a small disc, the nearer ones in front."""
+"""Render a cloud: every point is a small disc, near ones in front."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def splat(
     dot: int = 3,
     background: int = 255,
 ) -> np.ndarray:
-    """The cloud as camera 1 would see it, or from a place turned about the middle of the cloud.
+    """Render a cloud as camera 1 sees it, or turned about the middle of the cloud.
 
     Args:
         cloud: M points in the frame of camera 1.
         camera: of image 1; its field of view is kept.
         width: of the picture, pixels.
-        yaw_deg, pitch_deg: by how much the viewer walks to the right of, and above, camera 1.
+        yaw_deg, pitch_deg: position of the viewer to the right of, and above, camera 1.
         dot: diameter of a point, pixels.
         background: grey level.
 
@@ -52,6 +52,6 @@ def splat(
     disc = np.floor(disc[(disc**2).sum(1) <= dot**2 / 4 + 0.01]).astype(np.int64)
     at = np.rint(x[far_first, ::-1]).astype(np.int64)[:, None] + disc
     row, column = np.clip(at, 0, (h - 1, w - 1)).reshape(-1, 2).T
-    # Where several points meet on a pixel the last one written, the nearest, stays.
+    # Where several points fall on one pixel, the last one written is the nearest.
     picture[row, column] = np.repeat(cloud.rgb.numpy()[far_first], len(disc), axis=0)
     return picture

@@ -131,7 +131,7 @@ def test_what_an_entity_holds(path):
 def test_what_changed_between_two(path, tmp_path):
     assert "the same" in diff_recordings(path, path).splitlines()[0]
     assert (
-        f"{POINTS} points rest on the same pixels in both, 0 are gone, 0 are new"
+        f"{POINTS} points have the same pixels in both, 0 are gone, 0 are new"
         in diff_recordings(path, path)
     )
     cloud = RESULT.cloud
@@ -165,9 +165,23 @@ def test_what_changed_between_two(path, tmp_path):
     assert "The rotations differ by 0.5000 deg" in words
     assert re.search(r"all +425 +340 +300 +200 \(-100\)", words)
     moved = float(np.median(np.linalg.norm(0.01 * cloud.xyz[:200].numpy(), axis=1)))
-    assert "200 points rest on the same pixels in both, 100 are gone, 0 are new." in words
+    assert "200 points have the same pixels in both, 100 are gone, 0 are new." in words
     said = float(re.search(r"moved by (\S+) baselines", words)[1])
     assert said == pytest.approx(moved, rel=1e-3)
+
+
+def test_recordings_of_different_photographs_are_not_compared(path, tmp_path):
+    other = make_result(size_wh=(640, 480))
+    save_recording(tmp_path / "b.rrd", other)
+    with pytest.raises(RecordingError, match=r"320 x 240.*640 x 480.*same photographs"):
+        diff_recordings(path, tmp_path / "b.rrd")
+
+
+def test_the_overview_rounds_the_errors(tmp_path):
+    errors = {"rotation_deg": 0.003148852862381044, "translation_deg": 0.1234567}
+    save_recording(tmp_path / "a.rrd", replace(RESULT, errors=errors))
+    words = describe_recording(tmp_path / "a.rrd")
+    assert "rotation 0.003, translation direction 0.123 deg" in words
 
 
 @pytest.mark.parametrize("n", [-1, POINTS, 10**9])
@@ -275,7 +289,7 @@ def test_the_commands(path, tmp_path):
     assert "verdict" in run(inspect, [str(path)]).output
     both = run(inspect, [str(path), "--point", "4", "--operator", "surf"])
     assert isinstance(both.exception, SfmError)
-    assert "one thing at a time" in str(both.exception)
+    assert "at a time" in str(both.exception)
 
 
 def test_no_display_is_said_and_the_way_out_named(path, monkeypatch):

@@ -1,8 +1,6 @@
-"""Questions to a recording, answered in text: where a point comes from, how an operator did, what
-differs from another.
+"""Answer questions about a recording in text: points, operators, entities, differences.
 
-Reads what :func:`sfmkit.recording.log.save_recording` wrote; see docs/recording.md for what is in
-it.
+Reads what :func:`sfmkit.recording.save_recording` wrote; docs/recording.md describes the entities.
 """
 
 from .difference import diff_recordings

@@ -1,4 +1,4 @@
-"""What changed from one recording to another."""
+"""The difference between two recordings of the same photographs."""
 
 from __future__ import annotations
 
@@ -9,22 +9,29 @@ from typing import Any
 import numpy as np
 
 from ...pipeline.account import ALL
-from ..read import Recording, read_recording
+from ..read import Recording, RecordingError, read_recording
 from ._columns import POINTS, own_columns
 from ._words import angle_deg, image_words, pose_words, short, table
 
 
 def diff_recordings(a: str | Path, b: str | Path, prefix: str = "") -> str:
-    """What changed from recording `a` to recording `b`: settings, verdict, pose, account, points,
-    times."""
+    """List what changed from `a` to `b`: settings, verdict, pose, statistics, points and times.
+
+    Raises:
+        RecordingError: the recordings are of different photographs.
+    """
     before, after = read_recording(a), read_recording(b)
     ra, rb = before.report(prefix), after.report(prefix)
+    pairs = [" and ".join(image_words(image) for image in r["images"]) for r in (ra, rb)]
+    if pairs[0] != pairs[1]:
+        raise RecordingError(
+            f"{before.path} is of {pairs[0]}, {after.path} of {pairs[1]}: "
+            "only recordings of the same photographs can be compared"
+        )
     rows = [("", str(before.path), str(after.path))]
     for label, value in (
         ("preset", lambda r: r["preset"]),
         ("seed", lambda r: r["seed"]),
-        ("image 1", lambda r: image_words(r["images"][0])),
-        ("image 2", lambda r: image_words(r["images"][1])),
         (
             "focal lengths",
             lambda r: ", ".join(f"{c['K'][0][0]:.1f} px ({c['source']})" for c in r["camera"]),
@@ -56,7 +63,8 @@ def _diff_pose(a: dict[str, Any], b: dict[str, Any]) -> str:
     words = f"The rotations differ by {angle_deg(Ra.T @ Rb):.4f} deg"
     if a["pose"]["t"] and b["pose"]["t"]:
         cosine = float(np.dot(a["pose"]["t"], b["pose"]["t"]))
-        words += f", the directions of translation by {degrees(acos(max(-1.0, min(1.0, cosine)))):.4f} deg"
+        apart = degrees(acos(max(-1.0, min(1.0, cosine))))
+        words += f", the directions of translation by {apart:.4f} deg"
     return words + "."
 
 
@@ -73,10 +81,10 @@ def _diff_account(a: dict[str, Any], b: dict[str, Any]) -> str:
 
 
 def _diff_points(a: Recording, b: Recording, prefix: str) -> str:
-    """How many points rest on the same pixels in both, and how far those moved."""
+    """Count the points that have the same pixels in both, and say how far they moved."""
     entity = f"{prefix}/{POINTS}"
     if entity not in a or entity not in b:
-        return "points: not both have a cloud."
+        return "points: one of the recordings has no cloud."
     where = []
     for recording in (a, b):
         cloud = own_columns(recording, entity)
@@ -87,7 +95,10 @@ def _diff_points(a: Recording, b: Recording, prefix: str) -> str:
         where.append({tuple(key): p for key, p in zip(keys.tolist(), xyz)})
     both = where[0].keys() & where[1].keys()
     only = [len(w) - len(both) for w in where]
-    words = f"{len(both):,} points rest on the same pixels in both, {only[0]:,} are gone, {only[1]:,} are new."
+    words = (
+        f"{len(both):,} points have the same pixels in both, {only[0]:,} are gone, "
+        f"{only[1]:,} are new."
+    )
     if both:
         moved = np.median([np.linalg.norm(where[0][k] - where[1][k]) for k in both])
         words += f" The common ones moved by {moved:.4g} baselines (median)."

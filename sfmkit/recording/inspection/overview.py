@@ -1,4 +1,4 @@
-"""What a recording, one of its operators or one of its entities holds."""
+"""The contents of a recording, of one of its operators and of one of its entities."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ._words import account_table, facts, image_words, pose_words, range_words, 
 
 
 def describe_recording(path: str | Path) -> str:
-    """Verdict, pose, account and times of a recording, and what it holds."""
+    """Describe verdict, pose, per-operator statistics, times and entities of a recording."""
     recording = read_recording(path)
     prefixes = recording.prefixes()
     if not prefixes:
@@ -27,7 +27,10 @@ def describe_recording(path: str | Path) -> str:
         [
             *told,
             "\n".join(
-                [f"{len(recording.entities)} entities (--entity PATH tells more), below", *children]
+                [
+                    f"{len(recording.entities)} entities (--entity PATH lists their contents), below",
+                    *children,
+                ]
             ),
         ]
     )
@@ -55,7 +58,7 @@ def _describe_reconstruction(recording: Recording, prefix: str) -> str:
             3,
             (
                 "error",
-                "rotation {rotation_deg}, translation {translation_deg} deg".format(
+                "rotation {rotation_deg:.3f}, translation direction {translation_deg:.3f} deg".format(
                     **report["errors"]
                 ),
             ),
@@ -66,8 +69,7 @@ def _describe_reconstruction(recording: Recording, prefix: str) -> str:
 
 
 def describe_operator(path: str | Path, name: str, prefix: str = "") -> str:
-    """How an operator did: its line of the account, where its keypoints ended, how good its points
-    are.
+    """Describe one operator: its statistics, the fate of its keypoints, the quality of its points.
 
     Raises:
         OperatorError: the recording has no such operator.
@@ -87,14 +89,14 @@ def describe_operator(path: str | Path, name: str, prefix: str = "") -> str:
             fates = Counter(own_columns(recording, entity)["fate"].tolist())
             total = fates.total()
             rows = [(fate, f"{n:,}", f"{n / total:.1%}") for fate, n in fates.most_common()]
-            parts.append(table((f"what became of its keypoints in image {image}", "", ""), rows))
+            parts.append(table((f"fate of its keypoints in image {image}", "", ""), rows))
     if f"{prefix}/{POINTS}" in recording:
         parts.append(_quality(recording, prefix, operators, name))
     return "\n\n".join(parts)
 
 
 def _quality(recording: Recording, prefix: str, operators: Sequence[str], name: str) -> str:
-    """Medians of the operator's points against those of all others."""
+    """Medians of the operator's points and of all other points."""
     cloud = own_columns(recording, f"{prefix}/{POINTS}")
     mine = (cloud["operator_mask"] >> list(operators).index(name) & 1).astype(bool)
     kinds = [
@@ -117,7 +119,7 @@ def _quality(recording: Recording, prefix: str, operators: Sequence[str], name: 
 
 
 def describe_entity(path: str | Path, entity: str) -> str:
-    """What an entity holds: components, how many values, their range, at which times.
+    """List the components of an entity: number of values, their range and times.
 
     Raises:
         RecordingError: no such entity; the message names the nearest.
@@ -126,7 +128,7 @@ def describe_entity(path: str | Path, entity: str) -> str:
     entity = "/" + entity.strip("/")
     children = recording.below(entity)
     if entity not in recording and children:
-        return f"{entity} holds nothing itself; below it: {', '.join(children)}"
+        return f"{entity} has no values; below it: {', '.join(children)}"
     rows = [
         (
             item.component,

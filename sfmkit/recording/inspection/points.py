@@ -1,4 +1,4 @@
-"""Where a 3-D point comes from."""
+"""The origin of a 3-D point: pixels, keypoints and operators."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ._words import facts, pixel_words, ratio_words
 
 @dataclass(frozen=True)
 class Sighting:
-    """A keypoint behind a 3-D point.
+    """A keypoint of a 3-D point.
 
     Attributes:
-        operator, image, keypoint: the row `keypoint` of what the operator found in image 1 or 2.
+        operator, image, keypoint: row `keypoint` of the operator's features in image 1 or 2.
         pixel: where it was found, pixels of the pinhole without distortion.
         scale_px, angle_deg: diameter and orientation of the described neighbourhood.
         kept: whether its position was used; else it was merged into the one whose was.
@@ -35,7 +35,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class PointOrigin:
-    """Where a 3-D point comes from.
+    """The origin of a 3-D point.
 
     Attributes:
         point, total: its row in the cloud, and the cloud's size.
@@ -44,13 +44,13 @@ class PointOrigin:
         x1, x2: those pixels in the photographs.
         match: row of the fused correspondences.
         distance_px: to the epipolar geometry (Sampson).
-        descriptor_distance, descriptor_ratio: how alike the two neighbourhoods are.
+        descriptor_distance, descriptor_ratio: similarity of the two neighbourhoods.
         residual_px, residual_rank: root mean square reprojection error, and the share of points
             that have a larger one.
         parallax_deg: angle between the two rays.
         sigma: standard deviation along the worst direction, baselines; None where it was not
             computed.
-        sightings: the keypoints behind it, of all operators and both images.
+        sightings: its keypoints, of all operators and both images.
     """
 
     point: int
@@ -115,7 +115,7 @@ class PointOrigin:
 
 
 def point_origin(recording: Recording, n: int, prefix: str = "") -> PointOrigin:
-    """Follow point `n` of the cloud back to its pixels and detectors.
+    """Trace point `n` of the cloud back to its pixels and operators.
 
     Raises:
         RecordingError: the recording has no cloud, or the cloud no such point.
@@ -169,7 +169,7 @@ def _sightings(
     is_kept: bool,
     cloud: dict[str, Any],
 ) -> list[Sighting]:
-    """The keypoints of an operator that lead to point n in one image."""
+    """The keypoints of an operator in one image that belong to point n."""
     entity = f"{prefix}/world/cam{image}/image/keypoints/{escaped(operator)}"
     keypoints, own = recording.latest(entity), own_columns(recording, entity)
     return [
@@ -188,5 +188,5 @@ def _sightings(
 
 
 def describe_point(path: str | Path, n: int, prefix: str = "") -> str:
-    """Where point `n` comes from: pixels, operators, residual, angle, uncertainty."""
+    """Describe point `n`: pixels, operators, residual, angle, uncertainty."""
     return str(point_origin(read_recording(path), n, prefix))
