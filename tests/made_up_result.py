@@ -11,6 +11,7 @@ from sfmkit.geometry.fundamental import fundamental_from_essential
 from sfmkit.io.images import read_image
 from sfmkit.options import DEFAULT
 from sfmkit.pipeline.account import make_account
+from sfmkit.pipeline.provenance import used_plugins
 from sfmkit.pipeline.reconstruction import Reconstruction
 from sfmkit.types import (
     Camera,
@@ -168,4 +169,5 @@ def make_result(
         timings_s={"detect": 1.5, "match": 0.75, "total": 2.5},
         warnings=("made up",),
         errors={"rotation_deg": 0.03, "translation_deg": 0.08},
+        plugins=used_plugins(OPERATORS, DEFAULT),
     )

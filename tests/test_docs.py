@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("page", ["docs/conventions.md", "docs/stages.md"])
+@pytest.mark.parametrize("page", ["docs/conventions.md", "docs/extend.md", "docs/stages.md"])
 def test_the_code_of_a_page_runs_from_top_to_bottom(page):
     text = (ROOT / page).read_text()
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)

@@ -19,7 +19,7 @@ from ..datasets import DATASETS, Pair, Source, find_source
 from ..datasets.pair import HOMOGRAPHY, image_size
 from ..errors import CameraError, InputError
 from ..io.images import Image, read_image
-from ..pipeline.reconstruction import choose_cameras
+from ..pipeline.stages import choose_cameras
 from ..types import Camera
 from .cache import Cache
 from .entry import Entry

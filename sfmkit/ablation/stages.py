@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..estimation import adjust, estimate_two_view, within_the_field
+from ..estimation import within_the_field
 from ..features import detect
 from ..io.images import Image, decode_image, read_image
 from ..matching import run_matcher
-from ..pipeline.registration import fuse_all, register_matches
+from ..pipeline.registration import register_matches
+from ..pipeline.stages import estimate_geometry, fuse_all
 from ..types import Correspondences, Features, Matches, Verdict
 from .cache import Cache
 from .entry import Entry
@@ -207,10 +208,7 @@ def _two_view(task: EstimateTask, fused: Correspondences, seed: int) -> dict[str
         raise InputError("there is no camera for this pair")
     options = task.variant.options.estimate
     fused = within_the_field(fused, *task.cameras)
-    view = estimate_two_view(fused, *task.cameras, options, seed=seed)
-    if options.refine:
-        adjusted = adjust(fused, view)
-        view = view if adjusted is None else adjusted.view
+    view, _ = estimate_geometry(fused, task.cameras, options, seed=seed)
     trusted = view.verdict is not Verdict.TOO_LITTLE
     return {
         "verdict": view.verdict.value,

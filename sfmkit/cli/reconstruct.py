@@ -1,5 +1,4 @@
-"""``sfmkit reconstruct``, ``sfmkit demo`` and ``sfmkit operators``: the main job and what it works
-with."""
+"""``sfmkit reconstruct``, ``sfmkit demo`` and ``sfmkit operators``."""
 
 from __future__ import annotations
 
@@ -18,8 +17,28 @@ OPERATORS = "surf,orb,fast-brief"
 
 
 def given(**values: Any) -> dict[str, Any]:
-    """Those that are not None."""
+    """The values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
+
+
+def matchers(
+    _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
+) -> tuple[str | None, dict[str, str]]:
+    """``("a", "surf=b")`` as ``("a", {"surf": "b"})``: the matcher of all, and of some operators."""
+    pairs = [value.split("=") for value in values if "=" in value]
+    alone = [value for value in values if "=" not in value]
+    if len(alone) > 1:
+        raise click.BadParameter(
+            f"{' and '.join(alone)} are both for all operators; write OPERATOR=MATCHER for one"
+        )
+    chosen: dict[str, str] = {}
+    for value in pairs:
+        if len(value) != 2 or not all(part.strip() for part in value):
+            raise click.BadParameter(f"'{'='.join(value)}' is not of the form OPERATOR=MATCHER")
+        operator, matcher = (part.strip() for part in value)
+        if chosen.setdefault(operator, matcher) != matcher:
+            raise click.BadParameter(f"two matchers for {operator}: {chosen[operator]}, {matcher}")
+    return (alone[0].strip() if alone else None), chosen
 
 
 @click.command()
@@ -35,7 +54,16 @@ def given(**values: Any) -> dict[str, Any]:
     default=OPERATORS,
     show_default=True,
     callback=names,
-    help="Detectors, comma-separated; see `sfmkit operators`.",
+    help="Operators, comma-separated: names (see `sfmkit operators`), detector+descriptor, or "
+    "import paths package.module:name.",
+)
+@click.option(
+    "--matcher",
+    "matcher",
+    multiple=True,
+    callback=matchers,
+    metavar="[OPERATOR=]MATCHER",
+    help="Matcher of all operators, or of one; a name or an import path. Repeatable.",
 )
 @click.option(
     "--preset",
@@ -46,8 +74,9 @@ def given(**values: Any) -> dict[str, Any]:
 )
 @click.option(
     "--backend",
-    type=click.Choice(["torch", "opencv", "poselib", "pycolmap"]),
-    help="Robust estimator; default: the preset's.",
+    metavar="NAME",
+    help="Robust estimator: torch, opencv, poselib, pycolmap, a plug-in or an import path; "
+    "default: the preset's.",
 )
 @click.option(
     "--threshold", type=POSITIVE, metavar="PX", help="Inlier distance to the epipolar line, pixels."
@@ -63,6 +92,11 @@ def given(**values: Any) -> dict[str, Any]:
     type=click.IntRange(16, 100_000),
     metavar="PX",
     help="Detect on images reduced to this longest side.",
+)
+@click.option(
+    "--device",
+    metavar="NAME",
+    help="Torch device of detection, matching and the robust search, such as cuda.  [default: cpu]",
 )
 @click.option(
     "--truth", help="True pose to compare with: JSON with R and t, or two .camera files A,B."
@@ -91,11 +125,13 @@ def reconstruct(
     intrinsics: str | None,
     intrinsics2: str | None,
     operators: tuple[str, ...],
+    matcher: tuple[str | None, dict[str, str]],
     preset: str,
     backend: str | None,
     threshold: float | None,
     budget: int | None,
     max_size: int | None,
+    device: str | None,
     truth: str | None,
     seed: int,
     out: Path,
@@ -124,10 +160,12 @@ def reconstruct(
         options = PRESETS[preset]
         estimate = given(backend=backend, threshold_px=threshold)
         if backend is not None:
-            estimate["method"] = None  # a method's name belongs to its back end
+            estimate["method"] = None  # the preset's method belongs to the preset's estimator
+        for_all, for_some = matcher
         options = replace(
             options,
             estimate=replace(options.estimate, **estimate),
+            match=replace(options.match, **given(matcher=for_all)),
             detect=replace(options.detect, **given(budget=budget, max_size=max_size)),
         )
         result = run(
@@ -136,7 +174,9 @@ def reconstruct(
             intrinsics,
             operators,
             camera2=intrinsics2,
+            matchers=for_some,
             options=options,
+            device=device,
             seed=seed,
             truth=pose,
             progress=say,
@@ -183,6 +223,7 @@ def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
         intrinsics=truth,
         truth=truth,
         operators=tuple(OPERATORS.split(",")),
+        matcher=(None, {}),
         out=out,
         overwrite=True,
         **printed,

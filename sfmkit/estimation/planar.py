@@ -27,7 +27,7 @@ from ..options import PlanarOptions
 from ..types import Correspondences, FrozenMapping
 from . import opencv
 from ._problems import HomographyProblem
-from .verdict import MAX_LOG10_NFA, MIN_MATCHES, log10_nfa
+from .verdict import MAX_LOG10_NFA, MIN_MATCHES, chance_agreement, log10_nfa
 
 _PREFIXES = (100, 300, 1000, 3000)  # matches, most distinctive first
 _SAMPLES = (24_000, 24_000, 8_000, 4_000)  # minimal samples on each of them
@@ -192,13 +192,13 @@ def false_alarms(
     a, b = x1[rows], x2[rows]
     n = len(a)
     k = int((squared_homography_sampson_distance(H, a, b) < threshold**2).sum())
-    rounds = max(1, 10_000 // n)
-    partners = torch.cat([torch.randperm(n, generator=generator) for _ in range(rounds)])
-    hits = int(
-        (
-            squared_homography_sampson_distance(H, a.repeat(rounds, 1), b[partners]) < threshold**2
-        ).sum()
+    chance = chance_agreement(
+        lambda u, v: squared_homography_sampson_distance(H, u, v),
+        a,
+        b,
+        threshold,
+        generator,
+        trials=10_000,
     )
-    chance = (hits + 1) / (rounds * n + 1)
     nfa = log10_nfa(k, n, chance, sample=4, solutions=1)
     return {"matches": n, "inliers": k, "chance_agreement": chance, "log10_false_alarms": nfa}

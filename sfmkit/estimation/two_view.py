@@ -1,15 +1,14 @@
-"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict on what the
-scene shows."""
+"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict."""
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from .._utils.notices import warn
 from ..geometry.coordinates import normalize
 from ..geometry.distortion import undistort_pixels
 from ..geometry.essential import (
@@ -27,21 +26,21 @@ from ..geometry.homography import decompose_homography
 from ..geometry.pose import cheirality, choose_pose, rotation_error, translation_error
 from ..geometry.refinement import refine_essential
 from ..options import EstimateOptions
-from ..types import Camera, Correspondences, Improvement, TwoView, Verdict
+from ..types import Camera, Correspondences, TwoView, Verdict
 from . import opencv
 from .plugins import run_estimator
 from .result import RobustModel, supported
-from .verdict import MIN_MATCHES, judge
+from .verdict import MIN_MATCHES, assess
 
-# The search for a competing plane: a plane that matters is found in far fewer samples than a full
-# search would take.
+# Samples of the search for a competing plane: one that holds a quarter of the matches is missed with
+# a probability of (1 - 0.25^4)^2000 = 0.0004.
 PLANE_ITERATIONS = 2_000
 
 
 def undistorted_pixels(
     corr: Correspondences, camera1: Camera, camera2: Camera
 ) -> tuple[Tensor, Tensor]:
-    """(N, 2) pixels in both images as ideal pinholes with the same K would have seen them."""
+    """Remove the lens distortion from the pixels of both images; (N, 2) each."""
     return tuple(
         undistort_pixels(x, camera) for x, camera in ((corr.x1, camera1), (corr.x2, camera2))
     )  # type: ignore[return-value]
@@ -59,7 +58,7 @@ def within_the_field(corr: Correspondences, camera1: Camera, camera2: Camera) ->
     dropped = len(corr) - int(valid.sum())
     if not dropped:
         return corr
-    warnings.warn(
+    warn(
         f"{dropped} of {len(corr)} correspondences lie outside the field that the distortion of "
         "the camera describes and were dropped; if they are many, check the distortion and its "
         "order (k1, k2, p1, p2, k3)",
@@ -77,7 +76,7 @@ def estimate_two_view(
     seed: int = 0,
     device: Any = None,
 ) -> TwoView:
-    """Estimate how camera 2 stands to camera 1, and judge whether the matches can tell.
+    """Estimate the pose of camera 2 relative to camera 1 and assess the evidence for it.
 
     Args:
         corr: N correspondences in pixels of the photographs.
@@ -89,52 +88,25 @@ def estimate_two_view(
         verdict ``TOO_LITTLE`` without a pose; a pure rotation has R but no t.
     """
     options = options or EstimateOptions()
+    n = len(corr)
+    if n < MIN_MATCHES:
+        reason = (
+            f"{n} matches; at least {MIN_MATCHES} are needed, and usually dozens. Try more "
+            "operators, or images that overlap more."
+        )
+        return _too_little(camera1, camera2, n, reason, {"matches": n})
     x1, x2 = undistorted_pixels(corr, camera1, camera2)
     (K1, _), (K2, _) = camera1.tensors(), camera2.tensors()
-    n = len(corr)
-    nothing = torch.zeros(n, dtype=torch.bool)
-    history: tuple[Improvement, ...] = ()
-
-    def too_little(reason: str, evidence: dict[str, float]) -> TwoView:
-        return TwoView(
-            camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, history=history
-        )
-
-    if n < MIN_MATCHES:
-        return too_little(
-            f"{n} matches; at least {MIN_MATCHES} are needed, and usually dozens. Try more operators or images that "
-            "overlap more.",
-            {"matches": n},
-        )
-
-    # Copies of a few matches must not pass for many: chance is judged by their number.
-    fit = supported(
-        robust_fit(x1, x2, K1, K2, corr, options, seed, device),
-        x1,
-        x2,
-        MIN_MATCHES,
-        options.threshold_px,
-    )
-    history = fit.history
+    fit = robust_fit(x1, x2, K1, K2, corr, options, seed, device)
+    # Duplicates of a few matches must not count as many: log10_nfa counts matches.
+    fit = supported(fit, x1, x2, MIN_MATCHES, options.threshold_px)
     if fit.model is None:
-        return too_little(
-            f"No epipolar geometry was found that {MIN_MATCHES} different matches agree on, off one line.",
-            {"matches": n, "inliers": 0},
+        reason = (
+            f"No epipolar geometry was found that {MIN_MATCHES} different matches, not all on one "
+            "line, agree on."
         )
-    calibrated = options.model == "essential"
-    E = fit.model if calibrated else essential_from_fundamental(fit.model, K1, K2)
-    R, t = pose_of(E, normalize(x1, K1), normalize(x2, K2), fit.inliers)
-    if options.refine:
-        R, t = refine_essential(R, t, x1[fit.inliers], x2[fit.inliers], K1, K2).pose
-    E = essential_from_pose(R, t)
-    if calibrated or options.refine:
-        F = fundamental_from_essential(E, K1, K2)
-        inliers = signed_sampson_distance(F, x1, x2).abs() < options.threshold_px
-    # the paper's way: F and its inliers stand, and E is only derived from it, whatever it loses
-    # thereby
-    else:
-        F, inliers = fit.model, fit.inliers
-
+        return _too_little(camera1, camera2, n, reason, {"matches": n, "inliers": 0}, fit)
+    pose = pose_from_fit(fit, x1, x2, K1, K2, options)
     plane = opencv.estimate(
         x1,
         x2,
@@ -143,60 +115,120 @@ def estimate_two_view(
         seed=seed,
         max_iterations=PLANE_ITERATIONS,
     )
-    # The competing explanations are compared at their best: a carelessly fitted F would lose to a
-    # plane.
-    F_best, inliers_best = F, inliers
-    if not options.refine:
-        F_best = fundamental_from_pose(
-            *refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose, K1, K2
-        )
-        inliers_best = signed_sampson_distance(F_best, x1, x2).abs() < options.threshold_px
-    judgement = judge(x1, x2, K1, K2, F_best, inliers_best, plane.model, options.threshold_px, seed)
-    if judgement.verdict is Verdict.TOO_LITTLE:
-        return too_little(judgement.reason, judgement.evidence)
-    if judgement.rotation is not None:
+    best = pose if options.refine else _refined(pose, x1, x2, K1, K2, options.threshold_px)
+    found = assess(x1, x2, K1, K2, best.F, best.inliers, plane.model, options.threshold_px, seed)
+    if found.verdict is Verdict.TOO_LITTLE:
+        return _too_little(camera1, camera2, n, found.reason, found.evidence, fit)
+    if found.rotation is not None:
         return TwoView(
             camera1,
             camera2,
             plane.inliers,
-            judgement.verdict,
-            judgement.reason,
-            judgement.evidence,
-            R=judgement.rotation,
+            found.verdict,
+            found.reason,
+            found.evidence,
+            R=found.rotation,
             H=plane.model,
-            history=history,
+            history=fit.history,
         )
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
-    reason = judgement.reason
-    if judgement.verdict is Verdict.PLANAR and plane.model is not None:
+    reason = found.reason
+    if found.verdict is Verdict.PLANAR and plane.model is not None:
+        support = pose.inliers | plane.inliers
         (R, t), *others = planar_poses(
-            plane.model, (R, t), x1, x2, K1, K2, inliers | plane.inliers, options.threshold_px
+            plane.model, (pose.R, pose.t), x1, x2, K1, K2, support, options.threshold_px
         )
-        alternatives = tuple(others)
-        E = essential_from_pose(R, t)
-        F = fundamental_from_essential(E, K1, K2)
-        inliers = signed_sampson_distance(F, x1, x2).abs() < options.threshold_px
+        pose, alternatives = _pose(R, t, x1, x2, K1, K2, options.threshold_px), tuple(others)
         if alternatives:
-            reason += (
-                " A plane seen twice allows two motions; the other one is kept as an alternative."
-            )
-    in_front = cheirality(normalize(x1, K1), normalize(x2, K2), R, t)
-    evidence = judgement.evidence | {"share_in_front": float(in_front[inliers].double().mean())}
+            reason += " A plane seen twice allows two motions; the other is kept as an alternative."
+    in_front = cheirality(normalize(x1, K1), normalize(x2, K2), pose.R, pose.t)
+    share = float(in_front[pose.inliers].double().mean())
     return TwoView(
         camera1,
         camera2,
-        inliers & in_front,
-        judgement.verdict,
+        pose.inliers & in_front,
+        found.verdict,
         reason,
-        evidence,
-        R=R,
-        t=t,
-        E=E,
-        F=F,
+        found.evidence | {"share_in_front": share},
+        R=pose.R,
+        t=pose.t,
+        E=pose.E,
+        F=pose.F,
         H=plane.model,
         alternatives=alternatives,
-        history=history,
+        history=fit.history,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose with its matrices and its inliers.
+
+    Attributes:
+        R, t: (3, 3) and (3,), t of unit length.
+        E, F: (3, 3) essential and fundamental matrix.
+        inliers: (N,) bool, agreement with F.
+    """
+
+    R: Tensor
+    t: Tensor
+    E: Tensor
+    F: Tensor
+    inliers: Tensor
+
+
+def pose_from_fit(
+    fit: RobustModel, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: EstimateOptions
+) -> Pose:
+    """Get the pose from a robustly estimated E or F, refined where the options say so.
+
+    Without refinement, a fitted F and its inliers stay as they are (the paper's procedure), and E
+    is derived from F although F then has another epipolar geometry than E.
+
+    Args:
+        fit: With a model.
+        x1, x2: (N, 2) undistorted pixels.
+    """
+    assert fit.model is not None
+    calibrated = options.model == "essential"
+    E = fit.model if calibrated else essential_from_fundamental(fit.model, K1, K2)
+    xn1, xn2 = normalize(x1, K1), normalize(x2, K2)
+    R, t, _ = choose_pose(*decompose_essential(E), xn1[fit.inliers], xn2[fit.inliers])
+    if options.refine:
+        R, t = refine_essential(R, t, x1[fit.inliers], x2[fit.inliers], K1, K2).pose
+    pose = _pose(R, t, x1, x2, K1, K2, options.threshold_px)
+    if calibrated or options.refine:
+        return pose
+    return replace(pose, F=fit.model, inliers=fit.inliers)
+
+
+def _pose(
+    R: Tensor, t: Tensor, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold_px: float
+) -> Pose:
+    E = essential_from_pose(R, t)
+    F = fundamental_from_essential(E, K1, K2)
+    return Pose(R, t, E, F, signed_sampson_distance(F, x1, x2).abs() < threshold_px)
+
+
+def _refined(
+    pose: Pose, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold_px: float
+) -> Pose:
+    """The pose refined on its inliers, to compare with a plane: a rough F would lose to it."""
+    R, t = refine_essential(pose.R, pose.t, x1[pose.inliers], x2[pose.inliers], K1, K2).pose
+    return _pose(R, t, x1, x2, K1, K2, threshold_px)
+
+
+def _too_little(
+    camera1: Camera,
+    camera2: Camera,
+    n: int,
+    reason: str,
+    evidence: dict[str, float],
+    fit: RobustModel | None = None,
+) -> TwoView:
+    nothing = torch.zeros(n, dtype=torch.bool)
+    history = () if fit is None else fit.history
+    return TwoView(camera1, camera2, nothing, Verdict.TOO_LITTLE, reason, evidence, history=history)
 
 
 def planar_poses(
@@ -296,9 +328,3 @@ def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) 
     if int(inliers.sum()) < int(fit.inliers.sum()) // 2:
         return fit
     return replace(fit, model=F, inliers=inliers)
-
-
-def pose_of(E: Tensor, xn1: Tensor, xn2: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-    """(R, t) of the four that E allows that puts most inliers in front of both cameras."""
-    R, t, _ = choose_pose(*decompose_essential(E), xn1[inliers], xn2[inliers])
-    return R, t

@@ -1,38 +1,47 @@
-"""What do the correspondences show: a general scene, a plane, a rotation without translation, or
-too little to say?
+"""What the correspondences show: depth, a plane, a pure rotation, or too little evidence.
 
-The competing explanations are compared by Torr's geometric robust information criterion (GRIC): a
-squared residual counts up to a limit, and a model pays for its dimension and its parameters, so
-that the essential matrix, which fits anything that a homography fits, does not win by its freedom
-alone. All residuals are first-order geometric (Sampson) distances in the joint image space of both
-views, in pixels, so they can be compared with one another.
+Whether there is anything to explain is decided first, a contrario (Moisan & Stival, IJCV 2004): how
+many models as good as this one would chance alone produce among this many matches?
 
-Whether there is anything to explain is decided first, a contrario (Moisan & Stival 2004): how many
-models as good as this one would chance alone produce among this many matches?
+The competing explanations are then compared by Torr's geometric robust information criterion
+(GRIC): a squared residual counts up to a limit, and a model pays for its dimension and its
+parameters. Without that price the essential matrix, which fits everything that a homography fits,
+would always win. All residuals are first-order geometric (Sampson) distances in the joint image
+space of both views, in pixels, so they are comparable.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from ..geometry.coordinates import denormalize, normalize, to_homogeneous
-from ..geometry.fundamental import signed_sampson_distance
+from ..geometry.fundamental import squared_sampson_distance
 from ..geometry.homography import squared_homography_sampson_distance
 from ..types import Verdict
 
 MIN_MATCHES = 8
 MAX_LOG10_NFA = -6.0  # fewer than one model in a million by chance alone
-MIN_SIGMA_PX = 0.1  # no detector localises better: keeps exact synthetic data from splitting hairs
+# Detectors localise to 0.1 px at best; without this least value the criterion would compare
+# rounding errors on exact synthetic data.
+MIN_SIGMA_PX = 0.1
+_CHANCE_TRIALS = 20_000  # wrong matches that the probability of chance agreement is measured on
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """A verdict, its reason in words, the numbers it rests on, and the rotation where that is all
-    there is."""
+class Assessment:
+    """A verdict on an estimated geometry.
+
+    Attributes:
+        verdict: What the matches show.
+        reason: The verdict in words.
+        evidence: The numbers that it rests on.
+        rotation: (3, 3) where the verdict is a pure rotation, else None.
+    """
 
     verdict: Verdict
     reason: str
@@ -43,9 +52,10 @@ class Judgement:
 def fit_rotation(
     x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, R0: Tensor, scale_px: float
 ) -> Tensor:
-    """(3, 3) rotation that turns the rays of x1 into those of x2, robustly, starting from R0.
+    """Fit the rotation that turns the rays of x1 into those of x2, robustly.
 
-    Iteratively reweighted Kabsch (Arun et al. 1987) with Cauchy weights at `scale_px`.
+    Iteratively reweighted Kabsch (Arun et al. 1987) with Cauchy weights at `scale_px`,
+    from `R0`.
     """
     f1, f2 = (
         torch.nn.functional.normalize(to_homogeneous(normalize(x, K)), dim=-1)
@@ -64,13 +74,13 @@ def fit_rotation(
 
 
 def rotate_pixels(R: Tensor, x1: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
-    """(N, 2) pixels in image 2 of image 1's rays turned by R: where points at infinity go."""
+    """Map pixels of image 1 to image 2 by a rotation, as points at infinity move; (N, 2)."""
     y = to_homogeneous(normalize(x1, K1)) @ R.mT
     return denormalize(y[:, :2] / y[:, 2:], K2)
 
 
 def gric(squared: Tensor, sigma: float, dimension: int, parameters: int) -> float:
-    """Torr's criterion for N squared residuals (square pixels); smaller is better.
+    """Compute Torr's criterion of N squared residuals (square pixels); smaller is better.
 
     Args:
         dimension: of the manifold in the 4-space of a correspondence: 3 for E and F, 2 for H and
@@ -85,8 +95,7 @@ def gric(squared: Tensor, sigma: float, dimension: int, parameters: int) -> floa
 
 
 def log10_nfa(inliers: int, matches: int, chance: float, sample: int, solutions: int) -> float:
-    """log10 of the number of false alarms: models with this many inliers to be expected by chance
-    alone.
+    """Compute log10 of the number of models with this many inliers to expect by chance.
 
     Args:
         chance: probability that a random match agrees with the model.
@@ -107,23 +116,38 @@ def log10_nfa(inliers: int, matches: int, chance: float, sample: int, solutions:
 
 
 def chance_agreement(
-    F: Tensor, x1: Tensor, x2: Tensor, threshold_px: float, seed: int = 0
+    squared: Callable[[Tensor, Tensor], Tensor],
+    x1: Tensor,
+    x2: Tensor,
+    threshold_px: float,
+    generator: torch.Generator,
+    trials: int = _CHANCE_TRIALS,
 ) -> float:
-    """Probability that a wrong match lies within `threshold_px` of F, measured on shuffled
-    partners.
+    """Measure the probability that a wrong match agrees with a model.
 
-    Keypoints cluster, so this is larger than the share of the image that an epipolar band covers.
+    Every point gets the partner of another match, by cyclic shifts of the matches in random order:
+    a random permutation would leave one match with its own partner on average, which makes the
+    probability too large by 1/N. Keypoints cluster, so the probability is larger than the share of
+    the image that the epipolar band covers.
+
+    Args:
+        squared: (N, 2), (N, 2) -> (N,) squared residuals of the model, square pixels.
+        x1, x2: (N, 2) pixels, N at least 2.
+        threshold_px: Largest residual of an inlier, pixels.
+        generator: Of the order and the shifts.
+        trials: Wrong matches to try, about; all N (N - 1) of them where there are fewer.
     """
-    g = torch.Generator().manual_seed(seed)
-    rounds = max(1, 20_000 // max(len(x1), 1))
-    hits = 0
-    for _ in range(rounds):
-        order = torch.randperm(len(x1), generator=g).to(x1.device)
-        hits += int((signed_sampson_distance(F, x1, x2[order]).abs() < threshold_px).sum())
-    return (hits + 1) / (rounds * len(x1) + 1)
+    n = len(x1)
+    rounds = min(max(1, trials // n), max(1, n - 1))
+    order = torch.randperm(n, generator=generator)
+    shifts = torch.randperm(max(1, n - 1), generator=generator)[:rounds] + 1
+    partner = order[(torch.arange(n) + shifts[:, None]) % n].to(x1.device)
+    point = order.to(x1.device).expand(rounds, n)
+    hits = int((squared(x1[point.flatten()], x2[partner.flatten()]) < threshold_px**2).sum())
+    return (hits + 1) / (rounds * n + 1)
 
 
-def judge(
+def assess(
     x1: Tensor,
     x2: Tensor,
     K1: Tensor,
@@ -133,8 +157,8 @@ def judge(
     H: Tensor | None,
     threshold_px: float,
     seed: int = 0,
-) -> Judgement:
-    """Judge an estimated epipolar geometry.
+) -> Assessment:
+    """Decide what an estimated epipolar geometry is evidence of.
 
     Args:
         x1, x2: (N, 2) undistorted pixels.
@@ -142,33 +166,59 @@ def judge(
         F: (3, 3) fundamental matrix of the estimated pose.
         inliers: (N,) bool, agreement with F.
         H: (3, 3) homography fitted robustly to the same matches, None when there was none.
-        threshold_px: what made an inlier.
+        threshold_px: Largest distance of an inlier, pixels.
+        seed: Of the measurement of chance agreement.
     """
-    n, k = len(x1), int(inliers.sum())
-    chance = chance_agreement(F, x1, x2, threshold_px, seed)
-    nfa = log10_nfa(k, n, chance, sample=5, solutions=10)
-    evidence = {"matches": n, "inliers": k, "chance_agreement": chance, "log10_false_alarms": nfa}
-    if k < MIN_MATCHES or nfa > MAX_LOG10_NFA:
+    evidence = _chance_evidence(F, x1, x2, inliers, threshold_px, seed)
+    n, k = len(x1), int(evidence["inliers"])
+    if k < MIN_MATCHES or evidence["log10_false_alarms"] > MAX_LOG10_NFA:
+        expected = n * evidence["chance_agreement"]
         reason = (
-            f"{k:,} of {n:,} matches agree on one epipolar geometry; {n * chance:,.0f} would agree with any geometry by "
-            "chance, and the best of many tries does better than that without meaning anything."
+            f"{k:,} of {n:,} matches agree on one epipolar geometry; {expected:,.0f} would agree "
+            "with any geometry by chance, and the best of many random ones does better than that."
         )
-        return Judgement(Verdict.TOO_LITTLE, reason, evidence)
-
-    e_F = signed_sampson_distance(F, x1, x2) ** 2
+        return Assessment(Verdict.TOO_LITTLE, reason, evidence)
+    e_F = squared_sampson_distance(F, x1, x2)
     sigma = max(1.4826 * float(e_F[inliers].sqrt().median()), MIN_SIGMA_PX)
     evidence["sigma_px"] = sigma
     if H is None:
-        return Judgement(Verdict.GENERAL, "No plane explains the matches.", evidence)
+        return Assessment(Verdict.GENERAL, "No plane explains the matches.", evidence)
+    return _compare(x1, x2, K1, K2, e_F, inliers, H, threshold_px, evidence)
 
+
+def _chance_evidence(
+    F: Tensor, x1: Tensor, x2: Tensor, inliers: Tensor, threshold_px: float, seed: int
+) -> dict[str, float]:
+    """How far the agreement of the matches with F is from chance."""
+    n, k = len(x1), int(inliers.sum())
+    generator = torch.Generator().manual_seed(seed)
+    chance = chance_agreement(
+        lambda a, b: squared_sampson_distance(F, a, b), x1, x2, threshold_px, generator
+    )
+    # A minimal sample of five matches gives up to ten essential matrices.
+    nfa = log10_nfa(k, n, chance, sample=5, solutions=10)
+    return {"matches": n, "inliers": k, "chance_agreement": chance, "log10_false_alarms": nfa}
+
+
+def _compare(
+    x1: Tensor,
+    x2: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    e_F: Tensor,
+    inliers: Tensor,
+    H: Tensor,
+    threshold_px: float,
+    evidence: dict[str, float],
+) -> Assessment:
+    """The explanation with the smallest GRIC: depth, plane or rotation."""
+    sigma = evidence["sigma_px"]
     e_H = squared_homography_sampson_distance(H, x1, x2)
-    # Twice the inlier threshold: a plane's matches must not be dropped because F happens to miss
-    # some of them.
+    # The matches of the plane count too where F misses them; see tests/estimation/test_verdict.py.
     considered = inliers | (e_H < threshold_px**2)
     R0 = nearest_rotation(torch.linalg.solve(K2, H @ K1))
     R = fit_rotation(x1[considered], x2[considered], K1, K2, R0, scale_px=sigma)
-    H_R = K2 @ R @ torch.linalg.inv(K1)
-    e_R = squared_homography_sampson_distance(H_R, x1, x2)
+    e_R = squared_homography_sampson_distance(K2 @ R @ torch.linalg.inv(K1), x1, x2)
     scores = {
         Verdict.GENERAL: gric(e_F[considered], sigma, 3, 5),
         Verdict.PLANAR: gric(e_H[considered], sigma, 2, 8),
@@ -177,7 +227,7 @@ def judge(
     off_plane = float((e_H[inliers] > (3 * sigma) ** 2).double().mean())
     off_rotation = float((e_R[inliers] > (3 * sigma) ** 2).double().mean())
     motion_px = float((rotate_pixels(R, x1[inliers], K1, K2) - x2[inliers]).norm(dim=-1).median())
-    evidence |= {
+    evidence = evidence | {
         "gric_general": scores[Verdict.GENERAL],
         "gric_planar": scores[Verdict.PLANAR],
         "gric_rotation": scores[Verdict.PURE_ROTATION],
@@ -187,25 +237,25 @@ def judge(
     }
     verdict = min(scores, key=scores.__getitem__)
     reason = {
-        Verdict.GENERAL: f"{off_plane:.0%} of the inliers lie off the best plane and {off_rotation:.0%} move otherwise than "
-        f"under a pure rotation, by {motion_px:.1f} px in the median: a scene with depth, seen from two places.",
-        Verdict.PLANAR: f"One plane explains {1 - off_plane:.0%} of the inliers as well as a scene with depth would, "
-        "with fewer assumptions.",
-        Verdict.PURE_ROTATION: f"A rotation alone explains {1 - off_rotation:.0%} of the inliers (they move by {motion_px:.2f} px "
-        "beyond it in the median): the camera did not move, so depth cannot be recovered.",
+        Verdict.GENERAL: f"{off_plane:.0%} of the inliers lie off the best plane, and "
+        f"{off_rotation:.0%} do not move as under a pure rotation, by {motion_px:.1f} px in the "
+        "median: a scene with depth, seen from two places.",
+        Verdict.PLANAR: f"One plane explains {1 - off_plane:.0%} of the inliers as well as a scene "
+        "with depth would, with fewer assumptions.",
+        Verdict.PURE_ROTATION: f"A rotation alone explains {1 - off_rotation:.0%} of the inliers "
+        f"(they move by {motion_px:.2f} px beyond it in the median): the camera did not move, so "
+        "depth cannot be recovered.",
     }[verdict]
-    return Judgement(verdict, reason, evidence, R if verdict is Verdict.PURE_ROTATION else None)
+    return Assessment(verdict, reason, evidence, R if verdict is Verdict.PURE_ROTATION else None)
 
 
 def nearest_rotation(A: Tensor) -> Tensor:
-    """The rotation nearest to a multiple of the (3, 3) matrix A of positive determinant, in the
-    Frobenius norm."""
-    A = A * torch.sign(torch.det(A))
-    U, _, Vt = torch.linalg.svd(A)
-    return (
-        U
-        @ torch.diag(
-            torch.tensor([1.0, 1.0, float(torch.det(U @ Vt))], dtype=A.dtype, device=A.device)
-        )
-        @ Vt
-    )
+    """Find the rotation nearest to a multiple of a matrix, in the Frobenius norm.
+
+    Args:
+        A: (3, 3) of non-zero determinant.
+    """
+    U, _, Vt = torch.linalg.svd(A * torch.sign(torch.det(A)))
+    signs = torch.ones(3, dtype=A.dtype, device=A.device)
+    signs[2] = torch.det(U @ Vt)
+    return U @ torch.diag(signs) @ Vt

@@ -29,18 +29,18 @@ from ..datasets.pair import Pair
 from ..datasets.strecha import strecha
 from ..datasets.synthetic import SyntheticPair, render
 from ..errors import InputError
-from ..estimation import adjust, estimate_two_view
 from ..features import OPERATOR_PLUGINS
 from ..geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
 from ..options import PRESETS, Options
 from ..pipeline.account import ALL, make_account
-from ..pipeline.reconstruction import (
+from ..pipeline.stages import (
     OPERATORS_OF_THE_PAPER,
     FeaturePairs,
     Stopwatch,
     detect_all,
+    estimate_geometry,
     make_cloud,
     match_all,
     pose_errors,
@@ -190,9 +190,7 @@ def estimate_cloud(
     seed: int,
 ) -> tuple[TwoView, PointCloud | None]:
     """The stages after fusion, as :func:`sfmkit.pipeline.reconstruction` has them."""
-    view = estimate_two_view(corr, *cameras, options.estimate, seed=seed)
-    adjustment = adjust(corr, view) if options.estimate.refine else None
-    view = view if adjustment is None else adjustment.view
+    view, adjustment = estimate_geometry(corr, cameras, options.estimate, seed=seed)
     return view, make_cloud(corr, view, image1, options.triangulate, adjustment)
 
 
@@ -202,7 +200,7 @@ def _pair_rows(
     began = time.perf_counter()
     images = (read_image(pair.image1), read_image(pair.image2))
     watch = Stopwatch()
-    features, _ = detect_all(images, operators, options.detect, watch)
+    features = detect_all(images, operators, options.detect, watch)
     matches = match_all(features, options.match, watch)
     before = time.perf_counter() - began
     F_true = true_fundamental(pair)
@@ -286,7 +284,7 @@ def _scene_rows(
     baseline."""
     made = _rendered(scene, size)
     images = (read_image(made.image1), read_image(made.image2))
-    features, _ = detect_all(images, operators, options.detect)
+    features = detect_all(images, operators, options.detect)
     corr = _fused(
         features, match_all(features, options.match), operators, options.fuse.merge_radius
     )

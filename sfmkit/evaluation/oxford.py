@@ -38,8 +38,8 @@ from ..metrics import (
 )
 from ..options import DEFAULT, PAPER, Options
 from ..pipeline.account import ALL
-from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, FeaturePairs
-from ..pipeline.registration import fuse_all, register_matches
+from ..pipeline.registration import register_matches
+from ..pipeline.stages import OPERATORS_OF_THE_PAPER, FeaturePairs, fuse_all
 from ..types import Correspondences, Features, Matches
 from .rows import Row, RowStore, finite
 

@@ -25,7 +25,8 @@ from ..io.images import read_image
 from ..io.ply import read_ply, write_ply
 from ..options import PRESETS
 from ..pipeline.account import ALL
-from ..pipeline.reconstruction import OPERATORS_OF_THE_PAPER, reconstruct
+from ..pipeline.reconstruction import reconstruct
+from ..pipeline.stages import OPERATORS_OF_THE_PAPER
 from ..types import Camera, PointCloud
 from . import colmap_peer
 from .rows import Row, RowStore

@@ -52,6 +52,7 @@ class BuiltInOperator:
         self,
         image: np.ndarray,
         *,
+        grey: np.ndarray | None = None,
         select: Select = _all,
         preset: str = "default",
         device: Any = None,
@@ -67,7 +68,8 @@ class BuiltInOperator:
         if not usable:
             raise OperatorError(f"operator '{self.spec.name}' is not available here: {reason}")
         settings = _settings(self.spec, preset, options)
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+        if grey is None:
+            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
         if DETECTORS[self.spec.detector].function and not self.spec.is_pair:
             found = _function(DETECTORS[self.spec.detector].function)(
                 grey, device=device, **settings

@@ -72,6 +72,7 @@ def detect(
                 f"the mask must have the image's shape {(height, width)}, not {mask.shape}"
             )
     small, scale = _reduced(rgb, max_size)
+    grey, _ = _reduced(_grey(image, rgb), max_size)
     small_wh = (small.shape[1], small.shape[0])
 
     def select(xy: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -84,7 +85,9 @@ def detect(
             rows = rows[select_evenly(xy[rows], scores[rows], budget, small_wh)]
         return rows
 
-    found = run_operator(name, small, select=select, preset=preset, device=device, **options)
+    found = run_operator(
+        name, small, grey=grey, select=select, preset=preset, device=device, **options
+    )
     xy = np.clip(_full_size(found.keypoints, scale), 0, (width - 1, height - 1))
     return replace(
         found,
@@ -120,19 +123,25 @@ def _rgb(image: Any) -> np.ndarray:
     return cv2.cvtColor(array, cv2.COLOR_GRAY2RGB) if array.ndim == 2 else array
 
 
-def _reduced(rgb: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[float, float]]:
+def _grey(image: Any, rgb: np.ndarray) -> np.ndarray:
+    """(H, W) uint8."""
+    grey = getattr(image, "grey", image)
+    return grey if grey.ndim == 2 else cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+
+
+def _reduced(image: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[float, float]]:
     """The image with its longest side at most `max_size`, and the true scales of x and y."""
     if max_size is None:
-        return rgb, (1.0, 1.0)
+        return image, (1.0, 1.0)
     if not _is_positive(max_size):
         raise InputError(
             f"max_size must be a whole number of pixels of at least 1, not {max_size!r}"
         )
-    h, w = rgb.shape[:2]
+    h, w = image.shape[:2]
     if max(h, w) <= max_size:
-        return rgb, (1.0, 1.0)
+        return image, (1.0, 1.0)
     new_w, new_h = (max(1, round(side * max_size / max(h, w))) for side in (w, h))
-    return cv2.resize(rgb, (new_w, new_h), interpolation=cv2.INTER_AREA), (new_w / w, new_h / h)
+    return cv2.resize(image, (new_w, new_h), interpolation=cv2.INTER_AREA), (new_w / w, new_h / h)
 
 
 def _full_size(xy: np.ndarray, scale: tuple[float, float]) -> np.ndarray:

@@ -19,7 +19,7 @@ from .tables import DESCRIPTORS, DETECTORS, LEFT_OUT, OPERATORS, find_spec
 F = TypeVar("F", bound=Callable)
 Select = Callable[[np.ndarray, np.ndarray], np.ndarray]
 _PARTS = {*DETECTORS, *DESCRIPTORS, *LEFT_OUT}
-COMMON = ("select", "preset", "device")
+COMMON = ("grey", "select", "preset", "device")
 
 
 class Operator(Protocol):
@@ -30,6 +30,7 @@ class Operator(Protocol):
     and keeps the number that the budget allows. An operator with a parameter of one of these names
     gets it in addition to its own options:
 
+    - ``grey``: (H, W) uint8, the image in grey levels, which sfmkit has computed anyway;
     - ``select``: function ``(xy, scores) -> rows`` of the keypoints that mask and budget leave, for
       an operator that describes only those; xy (N, 2) pixels of the image, scores (N,);
     - ``preset``: ``default``, ``paper`` or ``dense``;
@@ -134,13 +135,21 @@ def register_operator(name: str, operator: F) -> F:
 
 
 def run_operator(
-    name: str, image: np.ndarray, *, select: Select, preset: str, device: Any, **options: Any
+    name: str,
+    image: np.ndarray,
+    *,
+    grey: np.ndarray,
+    select: Select,
+    preset: str,
+    device: Any,
+    **options: Any,
 ) -> Features:
     """Run an operator and check that its result obeys the contract.
 
     Args:
         name: Of an operator.
         image: (H, W, 3) uint8 RGB.
+        grey: (H, W) uint8, the same in grey levels.
         select: Rows of the keypoints to keep, from positions (N, 2) and scores (N,).
         preset, device: Passed to operators that take them.
         options: The operator's own.
@@ -149,7 +158,7 @@ def run_operator(
         OperatorError: there is no such operator, it failed, or its result is wrong.
     """
     operator = OPERATOR_PLUGINS[name]
-    common = {"select": select, "preset": preset, "device": device}
+    common = {"grey": grey, "select": select, "preset": preset, "device": device}
     common = accepted(operator, common, rest=False)
     found = OPERATOR_PLUGINS.call(name, image, **common, **options)
     size_wh = image.shape[1], image.shape[0]

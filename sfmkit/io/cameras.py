@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from .._utils.notices import warn
 from ..types import Camera, IntrinsicsSigma
 from .exif import Exif
 from .images import Image
@@ -179,4 +179,4 @@ def centred_camera(focal: float, size_wh: tuple[int, int], source: str) -> Camer
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, CameraWarning, stacklevel=4)
+    warn(text, CameraWarning, stacklevel=4)

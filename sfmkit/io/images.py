@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import threading
-import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,6 +15,7 @@ import numpy as np
 import PIL.Image
 from PIL import UnidentifiedImageError
 
+from .._utils.notices import warn
 from ..errors import ImageError
 from .exif import Exif, read_exif
 from .jpeg import jpeg_damage
@@ -301,7 +301,7 @@ def _decode_jpeg(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarra
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     damage = None if pixels is None else jpeg_damage(data, pixels)
     if damage:
-        warnings.warn(
+        warn(
             f"{path} is damaged: {damage}. Parts of the picture are wrong; use an undamaged copy",
             ImageWarning,
             stacklevel=2,

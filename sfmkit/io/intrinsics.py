@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from .._utils.notices import warn
 from ..errors import CameraError
 from ..types import Camera
 from .calibration import FORMS, Calibration, number, parse_numbers, read_calibration
@@ -267,4 +267,4 @@ def _warn_of_half_turn(camera: Camera, orientation: int, where: str) -> None:
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, CameraWarning, stacklevel=4)
+    warn(text, CameraWarning, stacklevel=4)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
+from .._utils.notices import warn
 from ..errors import ImageError
 
 DEPTHS = (8, 10, 12, 14, 16, 24, 31, 32)  # bits that sensors and files use
@@ -98,7 +97,7 @@ def _stretch(pixels: np.ndarray, dark: float, bright: float) -> np.ndarray:
 
 
 def _warn(what: str, text: str) -> None:
-    warnings.warn(
+    warn(
         f"{what} {text}. Compare both photographs, and save them as 8 bit where that is not right",
         ImageWarning,
         stacklevel=2,

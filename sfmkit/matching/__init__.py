@@ -9,6 +9,7 @@ from .plugins import (
     MatcherInfo,
     choose_matchers,
     list_matchers,
+    matcher_of,
     register_matcher,
     run_matcher,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "list_matchers",
     "match",
     "match_guided",
+    "matcher_of",
     "register_matcher",
     "run_matcher",
 ]

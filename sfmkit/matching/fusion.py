@@ -20,7 +20,10 @@ from ..types import MAX_OPERATORS, Correspondences, Features, Matches, OperatorC
 
 
 def fuse(
-    matches: Mapping[str, tuple[Features, Features, Matches]], *, merge_radius: float | None = 1.0
+    matches: Mapping[str, tuple[Features, Features, Matches]],
+    *,
+    merge_radius: float | None = 1.0,
+    cost: Mapping[str, np.ndarray] | None = None,
 ) -> Correspondences:
     """The matches of all operators in one set, coincident ones merged.
 
@@ -37,6 +40,8 @@ def fuse(
     Args:
         matches: per operator its features in image 1 and image 2 (N1, N2) and its matches (M).
         merge_radius: pixels; None concatenates without merging, as the paper does.
+        cost: per operator, (M,) numbers that are comparable between operators, smaller for the
+            better match; they decide in place of the ratio.
 
     Returns:
         The kept correspondences in the order of the operators and of their matches.
@@ -67,7 +72,8 @@ def fuse(
     else:
         name_order = np.argsort(np.argsort(list(matches)))[operator_id]
         rank = np.empty(len(x1), dtype=np.int64)
-        rank[np.lexsort((index2, index1, name_order, ratio))] = np.arange(len(x1))  # NaN sorts last
+        worth = ratio if cost is None else np.concatenate([cost[name] for name in matches])
+        rank[np.lexsort((index2, index1, name_order, worth))] = np.arange(len(x1))  # NaN sorts last
         leader = _leaders(*_coincident(x1, x2, merge_radius), rank)
     np.bitwise_or.at(mask, leader, mask.copy())
     kept = leader == np.arange(len(x1))

@@ -1,8 +1,8 @@
 """Homography-guided matching.
 
 Nearest neighbours over the whole image fail where details repeat or an operator is weak. Once the
-homography is roughly known, a feature has a handful of candidates instead of thousands, and the
-same descriptors find several times as many right matches.
+homography is roughly known, a feature has a few candidates instead of thousands, and the same
+descriptors find several times as many right matches.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ def match_guided(
     max_distance: float = np.inf,
     max_octaves: float = 0.4,
 ) -> Matches:
-    """Mutual nearest neighbours among the pairs that agree with a homography in place and size.
+    """Match mutual nearest neighbours among pairs that agree with a homography.
+
+    The pairs agree in position and size.
 
     Args:
         features1, features2: of one operator.
@@ -35,14 +37,14 @@ def match_guided(
         radius_px: largest distance from the predicted position, in image 2.
         max_distance: largest descriptor distance.
         max_octaves: largest difference between a feature's size in image 2 and the one that H
-            predicts, in octaves; not looked at where the operator gives all features the same size.
+            predicts, in octaves; ignored where the operator gives all features the same size.
 
     Returns:
-        M matches in the order of ``index1``. ``ratio`` is distance over `max_distance` (NaN where
-        that is infinite): comparable between operators, where the limits are.
+        M matches in the order of ``index1``; ``ratio`` is NaN, because there is often only one
+        candidate.
 
     Raises:
-        InputError: features that cannot be compared, an H or radius that makes no sense.
+        InputError: features that cannot be compared, a singular H, a radius that is not positive.
     """
     _check_comparable(features1, features2)
     H = np.asarray(H, dtype=np.float64)
@@ -95,16 +97,12 @@ def match_guided(
     mutual &= first
     i, j, distance = i[mutual], j[mutual], distance[mutual]
     order = np.argsort(i)
-    ratio = (
-        distance / max_distance
-        if np.isfinite(max_distance) and max_distance > 0
-        else np.full(len(i), np.nan)
-    )
-    return Matches(i[order], j[order], distance[order], ratio[order].astype(np.float32))
+    ratio = np.full(len(i), np.nan, np.float32)
+    return Matches(i[order], j[order], distance[order], ratio)
 
 
 def _predict(H: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``H x`` (N, 2), and by how much H magnifies there (N,), NaN behind the camera."""
+    """``H x`` (N, 2), and the magnification of H there (N,), NaN behind the camera."""
     y = np.column_stack([x, np.ones(len(x))]) @ H.T
     depth = y[:, 2]
     ahead = depth * np.sign(np.median(depth)) > 0

@@ -3,5 +3,13 @@
 from .account import OperatorAccount
 from .reconstruction import Reconstruction, reconstruct
 from .registration import Registration, register
+from .stages import estimate_geometry
 
-__all__ = ["OperatorAccount", "Reconstruction", "Registration", "reconstruct", "register"]
+__all__ = [
+    "OperatorAccount",
+    "Reconstruction",
+    "Registration",
+    "estimate_geometry",
+    "reconstruct",
+    "register",
+]

@@ -12,27 +12,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.notices import collected
 from .._utils.progress import Progress
 from ..estimation.planar import PlanarFit, estimate_planar
 from ..geometry.homography import squared_homography_sampson_distance, transfer
 from ..geometry.homography_refinement import refine_homography
-from ..io.images import Image, read_image
+from ..io.images import read_image
 from ..matching.fusion import fuse
 from ..matching.guided import match_guided
 from ..options import DEFAULT, FuseOptions, Options, PlanarOptions
 from ..types import Correspondences, Matches, Verdict
 from .account import OperatorAccount, make_account
-from .reconstruction import (
+from .stages import (
     OPERATORS_OF_THE_PAPER,
     FeaturePairs,
     ImageLike,
     Stopwatch,
+    choose_options,
     detect_all,
+    fuse_all,
     match_all,
 )
 
@@ -42,7 +46,7 @@ _RADIUS = 2.0  # guided matching looks this many thresholds around the predicted
 _DISTANCE_QUANTILE = (
     0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
 )
-_WORST_RATIO = 1.35  # of descriptor distance to its limit, at which a match would not count
+_WORST_RELATIVE = 1.35  # descriptor distance over its limit at which a match would not count
 _LEAST_SIGMA_PX = 0.1  # no operator localises better
 _LEAST_DISTANCE = 1e-6  # between descriptors that differ; rounding is larger
 _GRID = 8  # cells a side, in which a crowd of matches is thinned by weight
@@ -67,7 +71,7 @@ class Registration:
             was not done.
         account: per operator and for all, what went in and agreed.
         timings_s: seconds per stage.
-        notes: what went not quite as asked.
+        warnings: messages about what may be wrong with the input or the result.
     """
 
     H: Tensor | None
@@ -79,7 +83,7 @@ class Registration:
     guided: Correspondences | None
     account: Mapping[str, OperatorAccount]
     timings_s: Mapping[str, float]
-    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def register(
@@ -87,7 +91,9 @@ def register(
     image2: ImageLike,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
     *,
+    matchers: str | Mapping[str, str] | None = None,
     options: Options = DEFAULT,
+    device: str | torch.device | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Registration:
@@ -95,10 +101,13 @@ def register(
 
     Args:
         image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
-        operators: names of operators, or ``detector+descriptor``.
+        operators: names of operators, ``detector+descriptor``, or import paths of plug-ins.
+        matchers: name or import path of the matcher of all operators; or operator -> matcher for
+            some of them; None for those of `options`.
         options: of detection, matching, fusion and the homography (``planar``).
+        device: torch device of detection and matching; None for that of `options`.
         seed: the same seed gives the same result on the same machine.
-        progress: called with (stage, what is being done).
+        progress: called with (stage, detail).
 
     Raises:
         InputError: images and operators that cannot be used. Images that do not show one plane are
@@ -106,15 +115,17 @@ def register(
     """
     watch = Stopwatch(progress)
     began = time.perf_counter()
-    with watch.stage("read", "images"):
-        images: tuple[Image, Image] = (read_image(image1), read_image(image2))
-    with watch.stage("detect"):
-        features, notes = detect_all(images, operators, options.detect, watch)
-    with watch.stage("match"):
-        matches = match_all(features, options.match, watch)
-    result = register_matches(features, matches, options=options, seed=seed, watch=watch)
+    options = choose_options(options, operators, matchers=matchers, device=device)
+    with collected() as warnings:
+        with watch.stage("read", "images"):
+            images = (read_image(image1), read_image(image2))
+        with watch.stage("detect"):
+            features = detect_all(images, operators, options.detect, watch, device=options.device)
+        with watch.stage("match"):
+            matches = match_all(features, options.match, watch, device=options.device)
+        result = register_matches(features, matches, options=options, seed=seed, watch=watch)
     watch.seconds["total"] = time.perf_counter() - began
-    return Registration(**{**vars(result), "timings_s": dict(watch.seconds), "notes": tuple(notes)})
+    return replace(result, timings_s=dict(watch.seconds), warnings=tuple(warnings))
 
 
 def register_matches(
@@ -150,16 +161,6 @@ def register_matches(
     )
 
 
-def fuse_all(
-    features: FeaturePairs, matches: Mapping[str, Matches], options: FuseOptions
-) -> Correspondences:
-    """Stage 2, fusion: the matches of all operators in one set."""
-    return fuse(
-        {name: (*features[name], matches[name]) for name in matches},
-        merge_radius=options.merge_radius,
-    )
-
-
 def _guide(
     features: FeaturePairs,
     corr: Correspondences,
@@ -174,7 +175,7 @@ def _guide(
             fit.inliers & corr.found_by(name) & (corr.operator_id == corr.operators.index(name))
         ]
         if len(mine) >= _LEAST_INLIERS:
-            # Not 0, where most descriptors are equal: the ratio to it would be no number.
+            # Not 0, where most descriptors are equal: distances are divided by it.
             limits[name] = max(float(torch.quantile(mine, _DISTANCE_QUANTILE)), _LEAST_DISTANCE)
     if not limits:
         return fit, None
@@ -192,11 +193,17 @@ def _guide(
             )
             for name, limit in limits.items()
         }
-        guided = fuse_all(features, found, options)
+        guided = fuse(
+            {name: (*features[name], m) for name, m in found.items()},
+            merge_radius=options.merge_radius,
+            cost={name: m.distance / np.float32(limits[name]) for name, m in found.items()},
+        )
         if len(guided) < _LEAST_INLIERS:
             return fit, None
         before = H
-        weights = localisation_weights(guided, H)
+        limit = torch.tensor([limits[name] for name in guided.operators], dtype=torch.float64)
+        relative = guided.distance / limit[guided.operator_id]
+        weights = localisation_weights(guided, H, relative)
         H = refine_homography(H, guided.x1, guided.x2, weights, threshold_px=planar.threshold_px)
         if (
             float((transfer(H, corners) - transfer(before, corners)).norm(dim=1).max())
@@ -207,17 +214,24 @@ def _guide(
     return PlanarFit(H, inliers, fit.reason, fit.evidence), guided
 
 
-def localisation_weights(guided: Correspondences, H: Tensor) -> Tensor:
-    """(N,) how much each guided match should count for the homography, relative to the others.
+def localisation_weights(guided: Correspondences, H: Tensor, relative: Tensor) -> Tensor:
+    """Compute the weights of guided matches in the fit of the homography.
 
     Operators differ in precision: each counts by the inverse square of its median distance to H.
-    Within an operator, the better two descriptors agree, the better do their positions. And a crowd
-    of matches on one detail, which is rarely
-    exactly in the plane, should not decide for the whole image: the more matches in its cell of a
-    grid, the less one counts.
+    Within an operator, positions agree better where descriptors do. Many matches on one detail,
+    which is rarely exactly in the plane, should not decide for the whole image: the more matches in
+    a cell of a grid, the less each counts.
+
+    Args:
+        guided: N matches.
+        H: (3, 3).
+        relative: (N,) descriptor distance over the limit of its operator, in [0, 1].
+
+    Returns:
+        (N,) of mean 1.
     """
     e = squared_homography_sampson_distance(H, guided.x1, guided.x2).sqrt()
-    weight = _WORST_RATIO - guided.ratio
+    weight = _WORST_RELATIVE - relative
     for k in range(len(guided.operators)):
         mine = guided.operator_id == k
         if mine.any():

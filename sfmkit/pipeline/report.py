@@ -1,5 +1,4 @@
-"""``report.json``: the result in numbers. Its schema is ``report.schema.json`` beside this file,
-versioned."""
+"""``report.json``: the result in numbers; its schema is ``report.schema.json`` in this folder."""
 
 from __future__ import annotations
 
@@ -9,23 +8,26 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from .._utils.versions import versions
+from ..options import as_plain
 
 if TYPE_CHECKING:
     from ..types import Camera
     from .reconstruction import Reconstruction
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) that every report obeys."""
+    """Read the JSON Schema (draft 2020-12) of reports."""
     return json.loads(files("sfmkit.pipeline").joinpath("report.schema.json").read_text())
 
 
 def _numbers(value: Any) -> Any:
-    """Tensors and arrays as nested lists; what JSON cannot hold (NaN, infinity) as null."""
+    """Tensors and arrays as nested lists; NaN and infinity, which JSON does not have, as None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
+    if isinstance(value, dict):
+        return {name: _numbers(v) for name, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_numbers(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
@@ -43,7 +45,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 
 def make_report(result: Reconstruction) -> dict[str, Any]:
-    """The report of a reconstruction as plain Python, ready for :func:`json.dumps`."""
+    """Make the report of a reconstruction as plain Python, ready for :func:`json.dumps`."""
     view = result.two_view
     report: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -52,7 +54,8 @@ def make_report(result: Reconstruction) -> dict[str, Any]:
             for i in result.images
         ],
         "camera": [_camera(view.camera1), _camera(view.camera2)],
-        "preset": result.options.name,
+        "options": _numbers(as_plain(result.options)),
+        "plugins": {kind: dict(used) for kind, used in result.plugins.items()},
         "seed": result.seed,
         "operators": {name: line.as_dict() for name, line in result.account.items()},
         "verdict": {

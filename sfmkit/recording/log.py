@@ -24,8 +24,9 @@ from .._utils.writing import atomic_write
 from ..geometry.fundamental import fundamental_from_essential
 from ..geometry.reprojection import project
 from ..pipeline.account import ALL, OperatorAccount
-from ..pipeline.reconstruction import Reconstruction, name_of
+from ..pipeline.reconstruction import Reconstruction
 from ..pipeline.report import make_report
+from ..pipeline.stages import name_of
 from ..types import PointCloud, TwoView, Verdict
 from ..viz.colours import operator_rgb
 from . import marks, text

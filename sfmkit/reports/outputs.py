@@ -11,8 +11,9 @@ import numpy as np
 from .._utils.writing import staged_folder
 from ..io.colmap import write_colmap
 from ..io.ply import write_ply
-from ..pipeline.reconstruction import Reconstruction, name_of
+from ..pipeline.reconstruction import Reconstruction
 from ..pipeline.report import make_report
+from ..pipeline.stages import name_of
 
 
 def write_outputs(

@@ -97,7 +97,7 @@ def test_every_part_and_every_number_has_bounds():
     assert set(BOUNDS) <= set(DETECTORS) | set(DESCRIPTORS)
     for name in OPERATORS:
         spec = find_spec(name.removeprefix("affine-"))
-        for option, default in spec.options.items():
+        for option, default in OPERATOR_PLUGINS.options(name).items():
             if not isinstance(default, bool):
                 low, high = bounds_of(spec.detector, spec.descriptor, option)
                 assert low <= default <= high < math.inf, (name, option)
@@ -106,7 +106,7 @@ def test_every_part_and_every_number_has_bounds():
 @pytest.mark.parametrize("name", OPERATORS)
 def test_beyond_the_bounds_is_refused_before_the_work(name):
     spec = find_spec(name.removeprefix("affine-"))
-    for option, default in spec.options.items():
+    for option, default in OPERATOR_PLUGINS.options(name).items():
         if isinstance(default, bool):
             continue
         low, high = bounds_of(spec.detector, spec.descriptor, option)

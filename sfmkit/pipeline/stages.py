@@ -1,0 +1,362 @@
+"""The stages of the main job, one function each.
+
+Every stage is a function of the stages before it, so that a notebook can stop after any of them.
+:func:`~sfmkit.pipeline.reconstruction.reconstruct` and
+:func:`~sfmkit.pipeline.registration.register` call them in order and keep all results.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .._utils.labels import label
+from .._utils.notices import warn
+from .._utils.progress import Progress
+from ..errors import CameraError, InputError, OperatorError
+from ..estimation import (
+    ESTIMATOR_PLUGINS,
+    Adjustment,
+    adjust,
+    estimate_two_view,
+    undistorted_pixels,
+)
+from ..features import OPERATOR_PLUGINS, detect
+from ..geometry.coordinates import normalize
+from ..geometry.pose import rotation_error, translation_error
+from ..geometry.reprojection import project
+from ..geometry.triangulation import parallax, triangulate
+from ..io.calibration import Calibration
+from ..io.cameras import camera_from_exif
+from ..io.images import Image
+from ..io.intrinsics import fit_intrinsics, parse_intrinsics
+from ..matching import MATCHER_PLUGINS, choose_matchers, fuse, matcher_of, run_matcher
+from ..options import (
+    DetectOptions,
+    EstimateOptions,
+    FuseOptions,
+    MatchOptions,
+    Options,
+    TriangulateOptions,
+)
+from ..types import Camera, Correspondences, Features, Matches, PointCloud, TwoView
+
+OPERATORS_OF_THE_PAPER = ("surf", "orb", "fast-brief")
+
+ImageLike = Image | np.ndarray | str | PathLike
+CameraLike = Camera | np.ndarray | str | PathLike
+FeaturePairs = Mapping[str, tuple[Features, Features]]
+
+
+@dataclass
+class Stopwatch:
+    """Measures the seconds of each stage and reports progress."""
+
+    progress: Progress | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str, detail: str = ""):
+        """Add the time of the block to a stage."""
+        self.say(name, detail)
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def say(self, name: str, detail: str) -> None:
+        """Report progress, if somebody listens."""
+        if self.progress is not None:
+            self.progress(name, detail)
+
+
+def choose_options(
+    options: Options,
+    operators: Sequence[str],
+    *,
+    matchers: str | Mapping[str, str] | None = None,
+    device: str | torch.device | None = None,
+) -> Options:
+    """The options of a run, with its matchers and device, checked before the work starts.
+
+    Args:
+        options: The preset or the caller's own.
+        operators: The operators of the run.
+        matchers: The name of a matcher for all operators, or operator -> matcher; None leaves
+            those of the options.
+        device: Torch device; None leaves that of the options.
+
+    Raises:
+        InputError: Matchers or overrides of operators that are not used, an unknown matcher or
+            estimator, a device that is not there.
+        OperatorError: No operator, or an unknown one.
+    """
+    if not operators:
+        raise OperatorError("no operator given; name at least one, e.g. operators=('surf', 'orb')")
+    for name in operators:
+        OPERATOR_PLUGINS[name]
+    match = choose_matchers(options.match, matchers)
+    for owner, names in (
+        ("options", options.detect.overrides),
+        ("options of a matcher", match.overrides),
+        ("a matcher", match.matchers),
+    ):
+        unused = [name for name in names if name not in operators]
+        if unused:
+            raise InputError(f"{owner} for operators that are not used: {', '.join(unused)}")
+    for name in operators:
+        MATCHER_PLUGINS[matcher_of(name, match)]
+    ESTIMATOR_PLUGINS[options.estimate.backend]
+    chosen = options.device if device is None else str(device)
+    check_device(chosen)
+    return replace(options, match=match, device=chosen)
+
+
+def check_device(device: str) -> None:
+    """Check that torch can compute on a device.
+
+    Raises:
+        InputError: The name is malformed, or the device is not there.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise InputError(f"device '{device}' cannot be used: {reason}") from error
+
+
+def choose_cameras(
+    images: tuple[Image, Image], camera: CameraLike | None, camera2: CameraLike | None = None
+) -> tuple[Camera, Camera]:
+    """The cameras of both images: as given, or from EXIF; checked against the images' sizes.
+
+    Raises:
+        CameraError: no camera can have these intrinsics, or they are for another size than the
+            image.
+    """
+    first = _camera(camera, images[0])
+    if camera2 is None and camera is not None:
+        second = first if images[0].size_wh == images[1].size_wh else _same_lens(first, images[1])
+    else:
+        second = _camera(camera2, images[1])
+    for number, (cam, image) in enumerate(zip((first, second), images), start=1):
+        if cam.size_wh != image.size_wh:
+            raise CameraError(
+                f"the camera of image {number} is for {cam.size_wh[0]} x {cam.size_wh[1]} pixels, the "
+                f"image has {image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it was "
+                "resized"
+            )
+    return first, second
+
+
+def _camera(camera: CameraLike | None, image: Image) -> Camera:
+    if camera is None:
+        return camera_from_exif(image)
+    if isinstance(camera, Camera):
+        return camera
+    orientation = image.exif.orientation if image.exif else 1
+    if isinstance(camera, np.ndarray):
+        return fit_intrinsics(Calibration(camera), image.size_wh, orientation=orientation)
+    return parse_intrinsics(camera, image.size_wh, orientation=orientation)
+
+
+def _same_lens(camera: Camera, image: Image) -> Camera:
+    """`camera` for another image of the same shape; a crop or another camera needs its own
+    intrinsics."""
+    (w, h), (w1, h1) = image.size_wh, camera.size_wh
+    if abs(w / w1 - h / h1) > 0.01 * w / w1:
+        raise CameraError(
+            f"image 2 ({w} x {h}) is not a scaled version of image 1 ({w1} x {h1}); give its own "
+            "intrinsics (camera2, on the command line --intrinsics2)"
+        )
+    return camera.scaled((w, h))
+
+
+def detect_all(
+    images: tuple[Image, Image],
+    operators: Sequence[str],
+    options: DetectOptions,
+    watch: Stopwatch | None = None,
+    *,
+    device: str | None = None,
+) -> dict[str, tuple[Features, Features]]:
+    """Stage 1: run every operator on both images.
+
+    An operator that finds nothing stays, with empty features, and a warning is issued.
+
+    Raises:
+        OperatorError: An operator is unknown, not available here, or fails.
+    """
+    watch = watch or Stopwatch()
+    features: dict[str, tuple[Features, Features]] = {}
+    for name in dict.fromkeys(operators):
+        found = []
+        for number, image in enumerate(images, start=1):
+            watch.say("detect", f"{name}, image {number}")
+            found.append(
+                detect(
+                    image,
+                    name,
+                    budget=options.budget,
+                    max_size=options.max_size,
+                    preset=options.preset,
+                    device=device,
+                    **options.overrides.get(name, {}),
+                )
+            )
+            if not len(found[-1]):
+                warn(f"operator '{name}' found nothing in image {number}", stacklevel=2)
+        features[name] = (found[0], found[1])
+    return features
+
+
+def match_all(
+    features: FeaturePairs,
+    options: MatchOptions,
+    watch: Stopwatch | None = None,
+    *,
+    device: str | None = None,
+) -> dict[str, Matches]:
+    """Stage 2, matching: match each operator's features by its matcher."""
+    watch = watch or Stopwatch()
+    matches = {}
+    for name, (f1, f2) in features.items():
+        watch.say("match", f"{name}, {len(f1):,} x {len(f2):,}")
+        matches[name] = run_matcher(f1, f2, options, operator=name, device=device)
+    return matches
+
+
+def fuse_all(
+    features: FeaturePairs, matches: Mapping[str, Matches], options: FuseOptions
+) -> Correspondences:
+    """Stage 2, fusion: put the matches of all operators into one set."""
+    return fuse(
+        {name: (*features[name], matches[name]) for name in matches},
+        merge_radius=options.merge_radius,
+    )
+
+
+def estimate_geometry(
+    corr: Correspondences,
+    cameras: tuple[Camera, Camera],
+    options: EstimateOptions | None = None,
+    *,
+    seed: int = 0,
+    device: str | None = None,
+    watch: Stopwatch | None = None,
+) -> tuple[TwoView, Adjustment | None]:
+    """Stage 3: estimate the geometry of two views and refine pose and points together.
+
+    Args:
+        corr: N correspondences in pixels of the photographs.
+        cameras: Of image 1 and image 2.
+        options: ``refine`` switches the refinement off.
+        seed: The same seed gives the same result on the same machine.
+        device: For estimators that take one.
+
+    Returns:
+        The geometry, refined where it has a translation; and the bundle adjustment that gave it,
+        None where there was none.
+    """
+    options, watch = options or EstimateOptions(), watch or Stopwatch()
+    with watch.stage("estimate", "epipolar geometry and pose"):
+        view = estimate_two_view(corr, *cameras, options, seed=seed, device=device)
+    if not options.refine:
+        return view, None
+    with watch.stage("refine", "pose and points together"):
+        adjustment = adjust(corr, view)
+    return (view if adjustment is None else adjustment.view), adjustment
+
+
+def make_cloud(
+    corr: Correspondences,
+    view: TwoView,
+    image1: Image,
+    options: TriangulateOptions | None = None,
+    adjustment: Adjustment | None = None,
+) -> PointCloud | None:
+    """Stage 3, last part: triangulate the inliers.
+
+    Args:
+        corr: N correspondences.
+        view: Their geometry.
+        image1: For the colours.
+        options: Method and limits.
+        adjustment: What gave `view` its pose; with it the points have a covariance.
+
+    Returns:
+        The points in front of both cameras, finite and within the limits; ``match`` holds their
+        rows of `corr`. None where the geometry has no translation.
+    """
+    if view.R is None or view.t is None:
+        return None
+    options = options or TriangulateOptions()
+    rows = view.inliers.nonzero().squeeze(1)
+    x1, x2 = undistorted_pixels(corr, view.camera1, view.camera2)
+    (K1, _), (K2, _) = view.camera1.tensors(), view.camera2.tensors()
+    xn1, xn2 = normalize(x1[rows], K1), normalize(x2[rows], K2)
+    X = triangulate(xn1, xn2, view.R, view.t, method=options.method)
+    X2 = X @ view.R.mT + view.t
+    e1, e2 = project(X, K1) - x1[rows], project(X2, K2) - x2[rows]
+    error = ((e1.square().sum(-1) + e2.square().sum(-1)) / 2).sqrt()
+    angle = torch.rad2deg(parallax(xn1, xn2, view.R))
+    keep = (
+        torch.isfinite(X).all(-1)
+        & (X[:, 2] > 0)
+        & (X2[:, 2] > 0)
+        & (angle >= options.min_parallax_deg)
+    )
+    if options.max_reprojection_px is not None:
+        keep &= error <= options.max_reprojection_px
+    rows = rows[keep]
+    return PointCloud(
+        xyz=X[keep],
+        rgb=sample_colours(image1, corr.x1[rows]),
+        operator_id=corr.operator_id[rows],
+        operator_mask=corr.operator_mask[rows],
+        operators=corr.operators,
+        reprojection_error=error[keep],
+        parallax=angle[keep],
+        match=rows,
+        covariance=None if adjustment is None else adjustment.covariance[keep],
+    )
+
+
+def sample_colours(image: Image, x: Tensor) -> Tensor:
+    """(N, 3) uint8 colours of the pixels nearest to x (N, 2)."""
+    w, h = image.size_wh
+    c = x.round().long()
+    return torch.from_numpy(
+        np.ascontiguousarray(image.rgb[c[:, 1].clamp(0, h - 1), c[:, 0].clamp(0, w - 1)])
+    )
+
+
+def pose_errors(view: TwoView, R: np.ndarray, t: np.ndarray) -> dict[str, float]:
+    """Errors of rotation and of the direction of translation, degrees; NaN where unknown.
+
+    Args:
+        view: The estimate.
+        R, t: (3, 3) and (3,), the truth; t up to scale.
+    """
+    nan = float("nan")
+    if view.R is None:
+        return {"rotation_deg": nan, "translation_deg": nan}
+    R_true, t_true = (torch.tensor(np.asarray(a), dtype=torch.float64) for a in (R, t))
+    return {
+        "rotation_deg": float(rotation_error(view.R, R_true)),
+        "translation_deg": nan if view.t is None else float(translation_error(view.t, t_true)),
+    }
+
+
+def name_of(image: Image, number: int) -> str:
+    """The name of an image in outputs: that of its file, or its number."""
+    return label(Path(image.path).name) if image.path else f"image{number}"
