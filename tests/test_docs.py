@@ -15,7 +15,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page):
     text = (ROOT / page).read_text()
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     assert blocks
-    assert sum("assert" in block for block in blocks) >= 8
+    assert sum("assert" in block for block in blocks) >= 3
     namespace: dict = {}
     for block in blocks:
         line = text[: text.index(block)].count("\n")

@@ -184,7 +184,7 @@ def accepted(function: Callable, keywords: Mapping[str, Any], *, rest: bool) -> 
 def _place(plugin: Callable) -> tuple[str, str]:
     """Module and qualified name of a function, class or instance."""
     owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
-    return owner.__module__, owner.__qualname__
+    return owner.__module__ or "__main__", owner.__qualname__
 
 
 def _source_digest(package: str) -> str:
