@@ -1,4 +1,4 @@
-"""How well a match agrees with the matches beside it: what the matches alone tell of themselves.
+"""The disagreement of a match with its neighbours, a measure of its quality.
 
 A surface carries neighbouring points to neighbouring points; wrong matches land anywhere. So the
 distance in one image between matches that are neighbours in the other is small for right ones,
@@ -14,15 +14,14 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 _NEIGHBOURS = 12
-_SUPPORT = 2  # neighbours that must have come along: one alone is too often chance
-# of the threshold: what is nearer is likely to be the same feature, found again, and no second
-# witness
+_SUPPORT = 2  # neighbours that must move alike: one alone is too often chance
+# multiple of the threshold: a nearer match is likely to be the same feature, found again, and not
+# independent evidence
 _APART = 4.0
 
 
 def disagreement(x1: Tensor, x2: Tensor, threshold_px: float) -> Tensor:
-    """(N,) how far a match's neighbours in one image are from it in the other, pixels; infinite
-    where it has none.
+    """Compute how far the neighbours of a match in one image are from it in the other, pixels.
 
     The second smallest distance among the 12 nearest that are not copies, in both directions, the
     larger of the two. On fountain-P11, four views apart, 9 % of the matches are right; of the tenth
@@ -30,6 +29,9 @@ def disagreement(x1: Tensor, x2: Tensor, threshold_px: float) -> Tensor:
 
     Args:
         x1, x2: (N, 2) pixels.
+
+    Returns:
+        (N,), infinite where a match has no neighbours.
     """
     y1, y2 = (x.detach().double().cpu().numpy() for x in (x1, x2))
     both = np.maximum(_spread(y1, y2, threshold_px), _spread(y2, y1, threshold_px))

@@ -1,5 +1,4 @@
-"""What the robust search needs to know about E, F and H: how to solve samples, score models and
-improve them.
+"""E, F and H in the robust search: solve samples, score models and improve them.
 
 Scores are computed for blocks of models times matches in float32, on coordinates that are centred
 and divided by one common length, so that distances stay proportional to pixels. A Sampson distance
@@ -34,7 +33,7 @@ def quick_scores(v: Tensor, weights: Tensor | None) -> Tensor:
     """(M,) summed scores of (M, N) squared residuals over the squared threshold, weighted by (N,).
 
     With ``a = 1 - v``, ``a^4 (1 + 2 a) / 3`` follows the marginal score to 0.011 at a fraction of
-    its price.
+    its cost.
     """
     a = torch.rsub(v, 1).relu_()
     b = a * a
@@ -182,8 +181,7 @@ class EssentialProblem(_Epipolar):
         return self.left @ models @ self.right
 
     def final_scores(self, models: Tensor) -> Tensor:
-        """Of the four poses that E allows the best, counting only the matches that it puts in front
-        of both cameras.
+        """Score the best of the four poses of E on the matches in front of both cameras.
 
         The distances alone cannot tell the true E of a plane from others that fit its matches as
         well, or better.

@@ -1,5 +1,4 @@
-"""Minimal samples: in order of promise, weighted by what is known about each match, and
-repeatable."""
+"""Minimal samples: in order of quality, weighted, and repeatable."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import torch
 from torch import Tensor
 
 _POOLS = (100, 300, 1000, 3000, None)  # matches, best first, that the rounds draw from in turn
-_GRADES = 8  # of each measure of promise, within each group of matches
+_GRADES = 8  # of each measure of quality, within each group of matches
 _SHRINK = (
     2.0  # matches of the average kind that each kind is credited with: a few do not make a rate
 )
@@ -17,12 +16,11 @@ _SLIM = 1e-3  # chance of the worst kind: a wrong model must not rule matches ou
 
 
 class Sampler:
-    """Draws minimal samples of distinct matches, and knows how likely it has missed a good one so
-    far.
+    """Draws minimal samples of distinct matches, and computes the probability to have missed a good one.
 
-    PROSAC's idea on batches: some rounds draw from the most promising matches only, others from
-    all. Within a round every match has its own probability, learned from how the best model so far
-    fares with its like. Counting what has been tried, a round of n samples has missed every
+    PROSAC's idea on batches: some rounds draw from the matches of the best quality only, others
+    from all. Within a round every match has its own probability, learned from the share of inliers
+    of its kind under the best model so far. Counting what has been tried, a round of n samples has missed every
     all-inlier sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is
     an inlier.
 
@@ -59,13 +57,11 @@ class Sampler:
             self.consider(quality)
 
     def consider(self, quality: Tensor) -> None:
-        """Follow the order of one more measure of promise, in turn with those known.
+        """Draw in the order of one more measure of quality, in turn with the others.
 
         Args:
-            quality: (n,) the smaller the more promising; NaN goes last. Where all are NaN or
-                infinite there is no
-                order to follow: the arbitrary one would confine the search to the first few
-                    matches.
+            quality: (n,) smaller for a better match; NaN goes last. Where all are NaN or infinite
+                it is ignored: an arbitrary order would confine the search to a few matches.
         """
         q = quality.detach().double().cpu()
         if not bool(torch.isfinite(q).any()):
@@ -77,8 +73,7 @@ class Sampler:
         self.kind = grade if self.kind is None else self.kind * _GRADES + grade
 
     def draw(self, count: int) -> Tensor:
-        """(about count, size) int64: one round. Samples in which a match came up twice are left
-        out."""
+        """Draw one round, (about count, size) int64, without samples that repeat a match."""
         p = self._probabilities()
         self.rounds.append((count, p))
         drawn = p.nonzero().squeeze(1)
@@ -98,9 +93,8 @@ class Sampler:
         ascending = samples.sort(dim=1).values
         return samples[(ascending[:, 1:] != ascending[:, :-1]).all(1)]
 
-    def audience(self, count: int) -> Tensor:
-        """(count,) or fewer, int64: matches drawn like those of the last round, each at most
-        once."""
+    def scoring_subset(self, count: int) -> Tensor:
+        """Draw (count,) or fewer distinct matches, int64, with the probabilities of the last round."""
         p = self.rounds[-1][1]
         wait = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
         return (p / wait).topk(min(count, int((p > 0).sum()))).indices
@@ -116,8 +110,10 @@ class Sampler:
         return p / p.sum()
 
     def learn(self, inliers: Tensor) -> None:
-        """Draw each kind of match (operator, grades of promise) in proportion to its share of
-        inliers under a model."""
+        """Draw each kind of match in proportion to its share of inliers under a model.
+
+        A kind is an operator and a grade of each measure of quality.
+        """
         if self.kind is None:
             return
         inliers = inliers.cpu().double()
@@ -126,7 +122,7 @@ class Sampler:
         self.prior = rate[self.kind].clamp(min=_SLIM) * self.weights
 
     def log_missed(self, inliers: Tensor) -> float:
-        """Logarithm of the probability that no sample so far consisted of inliers only."""
+        """Compute the log of the probability that no sample so far had inliers only."""
         inliers = inliers.double().cpu()
         log = 0.0
         for count, p in self.rounds:

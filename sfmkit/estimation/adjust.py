@@ -43,12 +43,13 @@ class Adjustment:
 
 
 def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
-    """Bundle adjustment of a geometry over its inliers; None where there is no translation to
-    adjust.
+    """Refine a geometry and its points by bundle adjustment over its inliers.
 
-    The inliers stay as they are. Where the matches leave the pose undetermined in some direction,
-    or are too few to
-    tell the noise, the geometry comes back as None too: it stands as it was, without a covariance.
+    The inliers stay as they are.
+
+    Returns:
+        None where there is no translation, where the matches leave the pose undetermined in some
+        direction, or where they are too few to estimate the noise.
     """
     if view.R is None or view.t is None:
         return None
@@ -59,11 +60,11 @@ def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
         bundle = bundle_adjust(
             x1[rows], x2[rows], K1, K2, view.R, view.t, loss=LOSS, loss_scale=LOSS_SCALE_PX
         )
-        sure = covariance(bundle)
+        uncertainty = covariance(bundle)
     except DegenerateGeometryError:
         return None
     E = essential_from_pose(bundle.R, bundle.t)
-    rotation_deg, translation_deg = sure.sigma_deg.tolist()
+    rotation_deg, translation_deg = uncertainty.sigma_deg.tolist()
     return Adjustment(
         view=replace(
             view,
@@ -71,12 +72,12 @@ def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
             t=torch.nn.functional.normalize(bundle.t, dim=0),
             E=E,
             F=fundamental_from_essential(E, K1, K2),
-            pose_covariance=sure.pose,
+            pose_covariance=uncertainty.pose,
             sigma_deg=(rotation_deg, translation_deg),
-            evidence={**view.evidence, "sigma_px": float(sure.sigma_px)},
+            evidence={**view.evidence, "sigma_px": float(uncertainty.sigma_px)},
         ),
         rows=rows,
-        covariance=sure.points,
-        sigma_px=float(sure.sigma_px),
+        covariance=uncertainty.points,
+        sigma_px=float(uncertainty.sigma_px),
         iterations=int(bundle.iterations),
     )

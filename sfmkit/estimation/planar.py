@@ -1,12 +1,11 @@
-"""A homography from fused correspondences of which few are right, and the verdict whether it means
-anything.
+"""A homography from fused correspondences of which few are right, and its evidence.
 
-What drowns a good operator among bad ones is that samples are drawn, and models are scored, over
+A good operator is of little use among bad ones where samples are drawn, and models are scored, over
 all matches alike. The ratio of the best to the second-best descriptor distance is comparable
 between operators, and the right matches are far denser among the small ratios. So the search runs
 on the most distinctive matches of all operators first, then on longer prefixes of the same order,
-and every model found is carried on to the longer ones. Which prefix to believe is not a
-setting: the number of false alarms compares them, and is the verdict as well.
+and every model found is improved on the longer ones too. The number of false alarms compares the
+prefixes, so that there is no setting for their length, and is the verdict as well.
 
 Source: Chum & Matas, PROSAC, CVPR 2005 (order); Moisan & Stival, IJCV 2004 (false alarms); Barath
 et al., MAGSAC++, CVPR 2020 (score).
@@ -64,7 +63,7 @@ def estimate_planar(
     """The homography that the correspondences show.
 
     Args:
-        corr: N correspondences; their ``ratio`` gives the order of promise (NaN comes last).
+        corr: N correspondences; their ``ratio`` is their quality (NaN comes last).
         seed: the same seed gives the same bits on the same machine.
 
     Returns:
@@ -179,10 +178,10 @@ def _draw(n: int, count: int, generator: torch.Generator) -> Tensor:
 def false_alarms(
     H: Tensor, x1: Tensor, x2: Tensor, threshold: float, generator: torch.Generator
 ) -> dict[str, float]:
-    """How many homographies as well supported as H chance alone would produce among these matches.
+    """Compute the number of homographies as well supported as H to expect by chance.
 
     Matches that lie together in both images are counted once: a repeated detail is one coincidence,
-    not ten. The chance of a wrong match to agree is measured on shuffled partners.
+    not ten.
 
     Returns:
         matches, inliers (both counted once), chance_agreement, log10_false_alarms.

@@ -234,13 +234,12 @@ def _explore(
         models = problem.solve(sampler.draw(count).to(problem.x1.device))
         iterations += count
         if len(models):
-            # Tried first on matches as promising as those it came from: among all, few right ones
-            # drown in the noise.
-            first = problem.scores(models, sampler.audience(_SUBSET).to(problem.x1.device))
+            # Scored first on matches of the quality that the sample came from: among all matches, a
+            # small share of right ones cannot be told from noise.
+            first = problem.scores(models, sampler.scoring_subset(_SUBSET).to(problem.x1.device))
             shortlist = models[first.topk(min(_SHORTLIST, len(models))).indices]
             scores = problem.final_scores(shortlist)
-            # A sample's own model is rough: even where the best so far is ahead of it, it may lead
-            # past it.
+            # The model of a sample is rough: it may exceed the best so far after its own fit.
             start = shortlist[scores.topk(min(_LOCAL_BEST, len(shortlist))).indices]
             fitted = problem.improve(start, local, _LOCAL_STEPS, _LOCAL_SCALE)
             for stage, candidates in (("sample", start[:1]), ("local optimisation", fitted)):
@@ -259,7 +258,7 @@ def _explore(
             break
         if (
             len(sampler.rounds) == _LEAST_ROUNDS
-        ):  # no easy case: it is worth asking the matches about each other
+        ):  # after the first rounds, the agreement of neighbours is worth its time
             sampler.consider(disagreement(problem.x1, problem.x2, problem.threshold))
             sampler.learn(inliers)
     return best, iterations, history
