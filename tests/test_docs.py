@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
+import runpy
 from pathlib import Path
 
+import PIL.Image
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -26,3 +29,17 @@ def test_links_to_files_are_valid():
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_index_page_shows_the_current_counts():
+    """`python benchmarks/pictures.py` stores the statistics of its run in the picture."""
+    with PIL.Image.open(ROOT / "docs" / "images" / "demo-matches.jpg") as picture:
+        stored = json.loads(picture.info["comment"])
+    pictures = runpy.run_path(str(ROOT / "benchmarks" / "pictures.py"))
+    current = pictures["statistics"](pictures["demo"]())
+    assert stored.keys() == current.keys() == {*pictures["OPERATORS"], "multi"}
+    for name, counts in current.items():
+        for count, value in counts.items():
+            # Processors round differently, which changes single matches.
+            assert stored[name][count] == pytest.approx(value, rel=0.005), f"{name} {count}"
