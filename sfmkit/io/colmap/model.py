@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -115,6 +116,8 @@ def _check_inside(name: str) -> None:
     absolute = PurePosixPath(name).is_absolute() or bool(PureWindowsPath(name).anchor)
     if absolute or ".." in parts or not parts or "\0" in name:
         raise InputError(f"the image name {name[:80]!r} leads out of the folder of the images")
+    if max(len(os.fsencode(part)) for part in parts) > 255 or len(os.fsencode(name)) > 3000:
+        raise InputError(f"the image name {name[:40]!r}... is too long for a file")
 
 
 def check_pose(q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
