@@ -81,6 +81,8 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
                     *pose["sigma_deg"]
                 ),
             )
+            for part, degrees in pose["sigma_parts_deg"].items():
+                facts.add_row("", "  {}: {:.4f}, {:.4f} deg".format(part, *degrees))
     if "errors" in report:
         errors = report["errors"]
         shown = [

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from .._utils.threads import one_thread
 from ..errors import DegenerateGeometryError
 from ..geometry.bundle import bundle_adjust
 from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential
 from ..geometry.losses import Loss
-from ..geometry.uncertainty import covariance
+from ..geometry.uncertainty import covariance, sigma_degrees
 from ..types import Correspondences, TwoView
+from .pose_uncertainty import pose_uncertainty
 from .two_view import undistorted_pixels
 
 LOSS: Loss = "cauchy"
@@ -42,6 +44,7 @@ class Adjustment:
     iterations: int
 
 
+@one_thread()
 def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
     """Refine a geometry and its points by bundle adjustment over its inliers.
 
@@ -60,11 +63,21 @@ def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
         bundle = bundle_adjust(
             x1[rows], x2[rows], K1, K2, view.R, view.t, loss=LOSS, loss_scale=LOSS_SCALE_PX
         )
-        uncertainty = covariance(bundle)
+        independent = covariance(bundle)
     except DegenerateGeometryError:
         return None
+    uncertainty = pose_uncertainty(
+        bundle.R,
+        bundle.t,
+        x1[rows],
+        x2[rows],
+        (view.camera1, view.camera2),
+        independent,
+        loss=LOSS,
+        loss_scale=LOSS_SCALE_PX,
+    )
     E = essential_from_pose(bundle.R, bundle.t)
-    rotation_deg, translation_deg = uncertainty.sigma_deg.tolist()
+    rotation_deg, translation_deg = sigma_degrees(uncertainty.pose).tolist()
     return Adjustment(
         view=replace(
             view,
@@ -74,10 +87,11 @@ def adjust(corr: Correspondences, view: TwoView) -> Adjustment | None:
             F=fundamental_from_essential(E, K1, K2),
             pose_covariance=uncertainty.pose,
             sigma_deg=(rotation_deg, translation_deg),
-            evidence={**view.evidence, "sigma_px": float(uncertainty.sigma_px)},
+            sigma_parts_deg=uncertainty.parts_deg,
+            evidence={**view.evidence, "sigma_px": float(independent.sigma_px)},
         ),
         rows=rows,
         covariance=uncertainty.points,
-        sigma_px=float(uncertainty.sigma_px),
+        sigma_px=float(independent.sigma_px),
         iterations=int(bundle.iterations),
     )

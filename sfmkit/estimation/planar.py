@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._utils.threads import one_thread
 from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.homography_refinement import refine_homography
 from ..options import PlanarOptions
@@ -57,6 +58,7 @@ class PlanarFit:
     evidence: Mapping[str, float] = field(default_factory=FrozenMapping)
 
 
+@one_thread()
 def estimate_planar(
     corr: Correspondences, options: PlanarOptions | None = None, *, seed: int = 0
 ) -> PlanarFit:

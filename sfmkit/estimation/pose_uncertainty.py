@@ -80,6 +80,8 @@ def pose_uncertainty(
         *sigmas,
         shared,
     )
+    # points at infinity have no finite covariance
+    points = torch.where(torch.isfinite(independent.points), points, independent.points)
     parts = {PIXELS: independent.pose, REGIONS: regions, CAMERAS: of_cameras}
     degrees = {name: sigma_degrees(part).tolist() for name, part in parts.items()}
     return PoseUncertainty(
@@ -89,7 +91,7 @@ def pose_uncertainty(
 
 def _sigmas(camera: Camera) -> Tensor:
     """(4,) standard deviations of a camera in the order of ``block_covariance.INTRINSICS``."""
-    sigma = camera.sigma
+    sigma = camera.uncertainty
     return torch.tensor(
         [sigma.focal, sigma.principal_point, sigma.principal_point, sigma.k1], dtype=torch.float64
     )

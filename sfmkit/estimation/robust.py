@@ -17,6 +17,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from .._utils.threads import one_thread
 from ..errors import InputError
 from ..geometry.checks import check_points
 from ..geometry.fundamental import fundamental_from_essential, signed_sampson_distance
@@ -40,6 +41,7 @@ _LOCAL = 2048  # matches that the best of a round are fitted to
 _LOCAL_BEST, _LOCAL_STEPS = 3, 4
 
 
+@one_thread()
 def estimate(
     x1: Tensor,
     x2: Tensor,

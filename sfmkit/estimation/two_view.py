@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from .._utils.notices import warn
+from .._utils.threads import one_thread
 from ..geometry.coordinates import normalize
 from ..geometry.distortion import undistort_pixels
 from ..geometry.essential import (
@@ -67,6 +68,7 @@ def within_the_field(corr: Correspondences, camera1: Camera, camera2: Camera) ->
     return corr.take(valid)
 
 
+@one_thread()
 def estimate_two_view(
     corr: Correspondences,
     camera1: Camera,

@@ -23,6 +23,7 @@ from ..geometry.coordinates import denormalize, normalize, to_homogeneous
 from ..geometry.fundamental import squared_sampson_distance
 from ..geometry.homography import squared_homography_sampson_distance
 from ..types import Verdict
+from .handedness import Handedness, handedness
 
 MIN_MATCHES = 8
 MAX_LOG10_NFA = -6.0  # fewer than one model in a million by chance alone
@@ -178,12 +179,27 @@ def assess(
             "with any geometry by chance, and the best of many random ones does better than that."
         )
         return Assessment(Verdict.TOO_LITTLE, reason, evidence)
+    orientation = handedness(x1[inliers], x2[inliers])
+    evidence["orientation_kept"] = orientation.share_kept
+    if orientation.inconsistent:
+        return Assessment(Verdict.TOO_LITTLE, _orientation_reason(orientation), evidence)
     e_F = squared_sampson_distance(F, x1, x2)
     sigma = max(1.4826 * float(e_F[inliers].sqrt().median()), MIN_SIGMA_PX)
     evidence["sigma_px"] = sigma
     if H is None:
         return Assessment(Verdict.GENERAL, "No plane explains the matches.", evidence)
     return _compare(x1, x2, K1, K2, e_F, inliers, H, threshold_px, evidence)
+
+
+def _orientation_reason(found: Handedness) -> str:
+    count = found.kept + found.reversed
+    measured = (
+        f"{found.reversed:,} of {count:,} triangles between neighbouring inliers are reversed in "
+        "image 2, which no camera motion does to a surface"
+    )
+    if found.mirrored:
+        return f"{measured}: one of the photographs is mirrored."
+    return f"{measured}: repeated or symmetric texture agrees on a wrong geometry."
 
 
 def _chance_evidence(

@@ -69,6 +69,7 @@ def make_report(result: Reconstruction) -> dict[str, Any]:
             "R": _numbers(view.R),
             "t": None if view.t is None else _numbers(view.t),
             "sigma_deg": None if view.sigma_deg is None else _numbers(list(view.sigma_deg)),
+            "sigma_parts_deg": {k: _numbers(list(v)) for k, v in view.sigma_parts_deg.items()},
         },
         "reprojection_rmse_px": _numbers(result.reprojection_rmse_px),
         "timings_s": {k: round(v, 4) for k, v in result.timings_s.items()},

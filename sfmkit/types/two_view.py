@@ -61,6 +61,9 @@ class TwoView:
             its tangent plane, radians), None where not computed.
         sigma_deg: standard deviation of rotation and translation direction, degrees, from
             `pose_covariance`.
+        sigma_parts_deg: what each part of the uncertainty (``pixel noise``, ``image regions``,
+            ``cameras``) alone gives for `sigma_deg`; see
+            :mod:`sfmkit.estimation.pose_uncertainty`. Empty where not computed.
         alternatives: other poses (R, t) that explain the matches as well: a plane seen twice
             usually allows two.
         history: how the robust search improved, oldest first; empty where the back end does not
@@ -81,6 +84,7 @@ class TwoView:
     H: Tensor | None = None
     pose_covariance: Tensor | None = None
     sigma_deg: tuple[float, float] | None = None
+    sigma_parts_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
     history: tuple[Improvement, ...] = ()
 
@@ -99,3 +103,4 @@ class TwoView:
         if self.verdict is Verdict.TOO_LITTLE and self.R is not None:
             raise InputError("TwoView: a verdict of too little evidence comes without a pose")
         object.__setattr__(self, "evidence", FrozenMapping(self.evidence))
+        object.__setattr__(self, "sigma_parts_deg", FrozenMapping(self.sigma_parts_deg))
