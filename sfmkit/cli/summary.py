@@ -82,7 +82,7 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
                 ),
             )
             for part, degrees in pose["sigma_parts_deg"].items():
-                facts.add_row("", "  {}: {:.4f}, {:.4f} deg".format(part, *degrees))
+                facts.add_row("", f"  {part}: {degrees[0]:.4f}, {degrees[1]:.4f} deg")
     if "errors" in report:
         errors = report["errors"]
         shown = [

@@ -68,16 +68,17 @@ def pose_uncertainty(
     regions = jackknife_covariance(sensitivity, image_blocks(x1, cameras[0].size_wh))
     if not bool(torch.isfinite(regions).all()):
         regions = independent.pose
-    sigmas = [_sigmas(camera) for camera in cameras]
+    sigma1, sigma2 = (_sigmas(camera) for camera in cameras)
     shared = _same(*cameras)
-    of_cameras = camera_covariance(sensitivity, sigmas[0], sigmas[1], shared)
+    of_cameras = camera_covariance(sensitivity, sigma1, sigma2, shared)
     points = point_covariances(
         independent.points,
         point_derivatives(R, t, x1, x2, K1, K2),
         independent.pose,
         regions,
         sensitivity,
-        *sigmas,
+        sigma1,
+        sigma2,
         shared,
     )
     # points at infinity have no finite covariance
