@@ -81,8 +81,8 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
                     *pose["sigma_deg"]
                 ),
             )
-            for part, degrees in pose["sigma_parts_deg"].items():
-                facts.add_row("", f"  {part}: {degrees[0]:.4f}, {degrees[1]:.4f} deg")
+            for part, deg in pose["sigma_parts_deg"].items():
+                facts.add_row("", f"  {part}: {deg[0]:.4f}, {deg[1]:.4f} deg")
     if "errors" in report:
         errors = report["errors"]
         shown = [
