@@ -1,10 +1,10 @@
 """Derivatives of a minimum with respect to the data, without the iterations that found it.
 
 At the minimum the gradient ``g(unknowns; data)`` is zero and stays zero when the data change:
-``d unknowns = -H^-1 dg`` with the exact Hessian H. Nothing is computed until a derivative is asked
-for; the backward pass then takes one Hessian, one linear solve, and one derivative of the gradient
-with respect to the data. Since it is itself made of differentiable functions of the unknowns and
-the data, second derivatives are right too. Forward mode is not supported.
+``d unknowns = -H^-1 dg`` with the exact Hessian H. Nothing is computed before the derivative is
+needed; it then takes one Hessian, one linear solve, and one derivative of the gradient with respect
+to the data. Forward mode solves the same system. Both consist of differentiable functions of the
+unknowns and the data, so that second derivatives are correct too.
 
 Source: implicit function theorem; Krantz and Parks 2002; for bundle adjustment, Triggs et al. 2000,
 section 10.1.
@@ -40,7 +40,7 @@ class Objective(Protocol):
 
 
 def is_differentiated(data: Iterable[Tensor | None]) -> bool:
-    """Return whether a derivative with respect to the data may be asked for later."""
+    """Return whether a derivative with respect to the data can be required later."""
     if _traced():
         return True
     return torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in data)
@@ -54,8 +54,8 @@ def attach_derivatives(objective: Objective, unknowns: Tensors, data: Tensors) -
 def solve_dense(product: Callable[..., Tensors], g: Tensors) -> Tensors:
     """Return ``H^-1 g`` for one step tensor ``(*B, m)`` with a small m.
 
-    The pseudo-inverse gives a derivative of zero, not an error, where no match counts any more
-    because all residuals are cut off.
+    The pseudo-inverse gives a derivative of zero, not an error, where no match has weight because
+    all residuals are beyond the threshold.
     """
     (b,) = g
     (columns,) = torch.func.vmap(product)(unit_steps(b))
@@ -106,6 +106,7 @@ class _Minimum(torch.autograd.Function):
         ctx.objective, ctx.n, *tensors = inputs
         # The outputs, not the inputs: a second derivative sees that they depend on the data.
         ctx.save_for_backward(*output, *tensors[ctx.n :])
+        ctx.save_for_forward(*output, *tensors[ctx.n :])
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
@@ -118,3 +119,16 @@ class _Minimum(torch.autograd.Function):
         solved = objective.solve(lambda *step: pullback(step)[0], chart(grads))
         _, by_data = pullback(solved)
         return (None, None, *([None] * ctx.n), *(-a for a in by_data))
+
+    @staticmethod
+    def jvp(ctx: Any, _objective: None, _n: None, *tangents: Tensor) -> Tensors:
+        objective = ctx.objective
+        unknowns, data = ctx.saved_tensors[: ctx.n], ctx.saved_tensors[ctx.n :]
+        zero = objective.zero(unknowns)
+        pullback = gradient_pullback(objective, unknowns, data)
+        # Transposed derivatives of linear maps: reverse mode only, whatever the level of nesting.
+        _, by_data = torch.func.vjp(lambda *step: pullback(step)[1], *zero)
+        solved = objective.solve(lambda *step: pullback(step)[0], by_data(tangents[ctx.n :]))
+        _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)
+        _, push = torch.func.vjp(chart, tuple(torch.zeros_like(a) for a in unknowns))
+        return push(tuple(-a for a in solved))[0]

@@ -68,17 +68,17 @@ class TwoViewBundle:
         return torch.where(infinite, torch.inf, ray / torch.where(infinite, 1.0, rho))
 
     def problem(self) -> Problem:
-        """The least-squares problem at the cameras found, float64."""
+        """Return the least-squares problem at the cameras found, float64."""
         x1, x2, weights, K1, K2 = (
-            a.detach().double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
+            a.double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
         )
         return Problem(x1, x2, _regular(weights), K1, K2, self.loss, self.loss_scale, self.focal)
 
     def state(self) -> State:
-        """The unknowns at the minimum, float64; focal scales relative to K1 and K2."""
-        u, v, w = self.inverse_depth.detach().double().unbind(-1)
+        """Return the unknowns at the minimum, float64; focal scales are relative to K1 and K2."""
+        u, v, w = self.inverse_depth.double().unbind(-1)
         log_focal = torch.zeros((*self.t.shape[:-1], 2), dtype=torch.float64, device=self.t.device)
-        return State(self.R.detach().double(), self.t.detach().double(), log_focal, (u, v, w))
+        return State(self.R.double(), self.t.double(), log_focal, (u, v, w))
 
 
 def bundle_adjust(

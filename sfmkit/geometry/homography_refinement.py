@@ -1,5 +1,10 @@
-"""Refinement of a homography on its eight degrees of freedom: marginal loss of Sampson distances in
-pixels."""
+"""Refinement of a homography on its eight degrees of freedom, by a marginal loss in pixels.
+
+The distance of a match is the first-order distance ``r^T (I + A A^T)^-1 r`` with r the residual in
+image 2 and A the derivative of the transfer with respect to x1. Sampson's distance
+(:func:`sfmkit.geometry.homography.squared_homography_sampson_distance`) linearises the two
+algebraic equations of Hartley and Zisserman instead; the two differ by terms of third order in r.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +22,7 @@ from .coordinates import to_homogeneous
 from .kernels import hartley
 from .losses import LossTerms, loss_terms
 
-_TOLERANCE = 1e-12  # of the cost: the decrease still to be gained at convergence
+_TOLERANCE = 1e-12  # of the cost: the predicted gain at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
 _DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
 _POLISH = 3  # steps; each leaves about a hundredth of the error
@@ -34,13 +39,15 @@ def refine_homography(
     threshold_px: float = 3.0,
     max_iterations: int = 15,
 ) -> Tensor:
-    """Minimise the marginal loss of the Sampson distances of a homography.
+    """Minimise the marginal loss of the first-order distances of a homography.
 
-    Levenberg-Marquardt from H. Matches beyond the threshold do not count, those within count less
-    the farther they are; H may move until others come within.
+    Levenberg-Marquardt from H. Matches beyond the threshold have no weight; the weight of the
+    others falls with their distance. H can move so far that further matches fall within the
+    threshold.
 
-    The minimum is differentiable with respect to x1, x2 and weights (reverse mode, implicit
-    function theorem, exact Hessian; second derivatives too); the start has derivative zero.
+    The minimum is differentiable with respect to x1, x2 and weights, in reverse and forward mode
+    and more than once (implicit function theorem, exact Hessian); the derivative with respect to
+    the start is zero.
 
     Args:
         H: ``(*B, 3, 3)`` ``x2 = H x1`` in pixels.
@@ -49,8 +56,8 @@ def refine_homography(
         threshold_px: see :mod:`sfmkit.geometry.losses`.
 
     Returns:
-        ``(*B, 3, 3)`` with ``H[2, 2] = 1``. H itself, so scaled and with derivative zero, where
-        fewer than 8 matches lie within the threshold.
+        ``(*B, 3, 3)`` with ``H[2, 2] = 1``. Where fewer than 8 matches lie within the threshold,
+        it is the given H, scaled, with derivative zero.
 
     Raises:
         InputError: shapes, dtypes, NaN, a threshold that is not positive.

@@ -11,6 +11,7 @@ from torch import Tensor
 from ..errors import DegenerateGeometryError
 from ._two_view_problem import Linearised, Problem, State, linearise, residuals
 from .bundle import TwoViewBundle
+from .checks import _traced
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +66,17 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     # A pose direction is undetermined when next to nothing of its information survives the
     # elimination of the points.
     information = root.diagonal(dim1=-2, dim2=-1) ** 2 / system.H.diagonal(dim1=-2, dim2=-1)
-    if bool((failed > 0).any()) or bool((information < _UNDETERMINED).any()):
+    undetermined = (failed > 0) | (information < _UNDETERMINED).any(-1)
+    if not _traced() and bool(undetermined.any()):
         raise DegenerateGeometryError(
-            "these matches do not determine the pose: its covariance is infinite in some direction. A plane seen almost "
-            "head-on, points on the baseline or a handful of coinciding matches do this; add matches elsewhere.",
+            "these matches do not determine the pose: its covariance is infinite in some "
+            "direction. Causes are a plane seen almost head-on, points on the baseline, and a few "
+            "matches that coincide; add matches elsewhere.",
             matches=problem.x1.shape[-2],
         )
-    inverse = torch.cholesky_inverse(root)
+    root = torch.where(undetermined[..., None, None], torch.nan, root)
+    half = torch.linalg.solve_triangular(root, torch.eye(root.shape[-1]).to(root), upper=False)
+    inverse = half.mT @ half
     kind = bundle.R.dtype
     return Uncertainty(
         (variance[..., None, None] * inverse[..., :5, :5]).to(kind),
@@ -104,9 +109,10 @@ def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor
     s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
     matches = used.sum(-1)
     dof = matches - problem.size
-    if bool((dof <= 0).any()):
+    if not _traced() and bool((dof <= 0).any()):
         raise DegenerateGeometryError(
-            f"{int(matches.min())} matches and {problem.size} camera unknowns leave nothing to estimate the noise from",
+            f"{int(matches.min())} matches and {problem.size} camera unknowns leave nothing to "
+            "estimate the noise from",
             matches=int(matches.min()),
             needed=problem.size + 1,
         )

@@ -12,6 +12,8 @@ import pytest
 import torch
 from made_up_scene import make_scene
 
+from sfmkit.geometry._forward_mode import forward_mode
+from sfmkit.geometry.bundle import bundle_adjust
 from sfmkit.geometry.coordinates import (
     denormalize,
     from_homogeneous,
@@ -22,9 +24,12 @@ from sfmkit.geometry.coordinates import (
 )
 from sfmkit.geometry.essential import essential_from_pose
 from sfmkit.geometry.fundamental import squared_sampson_distance
+from sfmkit.geometry.homography import homography_from_pose, transfer
+from sfmkit.geometry.homography_refinement import refine_homography
 from sfmkit.geometry.lie import hat, so3_exp
 from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
 from sfmkit.geometry.pose import relative_pose
+from sfmkit.geometry.refinement import refine_essential
 from sfmkit.geometry.reprojection import reprojection_residuals
 from sfmkit.geometry.triangulation import (
     corrected_matches,
@@ -35,6 +40,7 @@ from sfmkit.geometry.triangulation import (
 )
 
 S = make_scene(6, noise=0.5)
+P = make_scene(14, noise=0.4, planar=True)
 N1, N2 = normalize(S.x1, S.K1), normalize(S.x2, S.K2)
 E = essential_from_pose(S.R, S.t)
 X = triangulate(N1, N2, S.R, S.t)
@@ -118,6 +124,52 @@ def test_a_batch_is_its_members_and_single_precision_is_near(name):
         torch.testing.assert_close(
             rough.double(), one, rtol=1e-3, atol=1e-3 * float(one.abs().max())
         )
+
+
+def essential(x1):
+    return torch.cat([a.flatten() for a in refine_essential(S.R, S.t, x1, S.x2, S.K1, S.K2).pose])
+
+
+def bundle(x1, loss):
+    b = bundle_adjust(x1, S.x2, S.K1, S.K2, S.R, S.t, loss=loss)
+    return torch.cat((b.R.flatten(), b.t, b.inverse_depth.flatten()))
+
+
+def corners(x1):
+    H = homography_from_pose(P.R, P.t, P.normal, P.distance, P.K1, P.K2)
+    return transfer(refine_homography(H, x1, P.x2, threshold_px=5.0), P.x1[:4])
+
+
+MINIMA = {
+    "refine_essential": (essential, S.x1),
+    "bundle_adjust squared": (lambda x: bundle(x, "squared"), S.x1),
+    "bundle_adjust cauchy": (lambda x: bundle(x, "cauchy"), S.x1),
+    "refine_homography": (corners, P.x1),
+}
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("name", MINIMA)
+def test_forward_mode_at_a_minimum_agrees_with_reverse_mode(name):
+    function, x1 = MINIMA[name]
+    with forward_mode():
+        forward = torch.func.jacfwd(function)(x1)
+    reverse = torch.func.jacrev(function)(x1)
+    torch.testing.assert_close(forward, reverse, rtol=1e-8, atol=1e-8 * float(reverse.abs().max()))
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("name", MINIMA)
+def test_second_derivatives_at_a_minimum_are_those_of_finite_differences(name):
+    function, x1 = MINIMA[name]
+    assert torch.autograd.gradgradcheck(
+        lambda x: function(x).sum(),
+        x1.clone().requires_grad_(),
+        eps=1e-4,
+        atol=1e-5,
+        rtol=1e-3,
+        fast_mode=True,
+    )
 
 
 ONE_GRADIENT = {
