@@ -127,8 +127,8 @@ class _Minimum(torch.autograd.Function):
         zero = objective.zero(unknowns)
         pullback = gradient_pullback(objective, unknowns, data)
         # Transposed derivatives of linear maps: reverse mode only, whatever the level of nesting.
-        _, by_data = torch.func.vjp(lambda *step: pullback(step)[1], *zero)
+        _, by_data = torch.func.vjp(lambda *step: pullback(step)[1], *zero)  # type: ignore[misc]
         solved = objective.solve(lambda *step: pullback(step)[0], by_data(tangents[ctx.n :]))
-        _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)
-        _, push = torch.func.vjp(chart, tuple(torch.zeros_like(a) for a in unknowns))
+        _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)  # type: ignore[misc]
+        _, push = torch.func.vjp(chart, tuple(torch.zeros_like(a) for a in unknowns))  # type: ignore[misc]
         return push(tuple(-a for a in solved))[0]

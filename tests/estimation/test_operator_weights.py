@@ -10,9 +10,12 @@ from sfmkit.errors import InputError
 from sfmkit.estimation.operator_weights import (
     OperatorWeights,
     PosedPair,
+    PoseError,
     learn_operator_weights,
     match_weights,
 )
+from sfmkit.geometry.pose import rotation_error, translation_error
+from sfmkit.geometry.refinement import refine_essential
 from sfmkit.types import Correspondences
 
 D = torch.float64
@@ -33,12 +36,49 @@ def pair(seed: int, sigmas: tuple[float, ...] = (0.3, 2.0), n: int = 120) -> Pos
 
 def test_the_sharper_operator_gains_weight():
     pairs = [pair(seed) for seed in range(4)]
-    learned = learn_operator_weights(pairs, steps=8, learning_rate=0.3, loss="squared")
+    learned = learn_operator_weights(pairs, steps=8, learning_rate=0.3, loss="squared", folds=2)
     assert float(learned.weights[0]) > 2 * float(learned.weights[1])
     assert float(learned.weights.log().sum()) == pytest.approx(0, abs=1e-12)
     assert float(learned.history[-1]) < 0.7 * float(learned.history[0])
     assert len(learned.history) == 9
     torch.testing.assert_close(learned.of(pairs[0].matches)[:2], learned.weights)
+
+
+def test_weights_of_a_noisier_operator_help_on_held_out_pairs():
+    pairs = [pair(seed) for seed in range(4)]
+    options = {"steps": 5, "learning_rate": 0.3, "loss": "squared"}
+    learned = learn_operator_weights(pairs, folds=2, **options)
+    assert learned.training.equal == pytest.approx(float(learned.history[0]))
+    assert learned.training.weighted == pytest.approx(float(learned.history[-1]))
+    assert learned.held_out.equal == pytest.approx(learned.training.equal)
+    assert learned.held_out.weighted < 0.9 * learned.held_out.equal
+    assert learned.helps
+    # The same by hand: learn from one half, measure the other.
+    halves = [pairs[:2], pairs[2:]]
+    by_hand = []
+    for own, other in (halves, halves[::-1]):
+        weights = learn_operator_weights(other, **options)
+        for p in own:
+            m = p.matches
+            R, t = refine_essential(
+                p.R, p.t, m.x1, m.x2, p.K1, p.K2, weights.of(m), loss="squared", loss_scale=0.5
+            ).pose
+            by_hand.append(float(rotation_error(R, p.R) ** 2 + translation_error(t, p.t) ** 2))
+    assert learned.held_out.weighted == pytest.approx(sum(by_hand) / 4, rel=1e-6)
+
+
+def test_weights_that_fit_only_their_own_pair_do_not_help():
+    # The noisier operator is the first in one pair and the second in the other.
+    pairs = [pair(0, sigmas=(0.2, 3.0)), pair(1, sigmas=(3.0, 0.2))]
+    learned = learn_operator_weights(pairs, steps=8, learning_rate=0.3, loss="squared")
+    assert learned.held_out.weighted > learned.held_out.equal
+    assert not learned.helps
+
+
+def test_a_single_pair_has_no_held_out_error():
+    learned = learn_operator_weights([pair(0)], steps=2)
+    assert learned.held_out is None
+    assert not learned.helps
 
 
 def test_a_match_of_several_operators_has_their_mean_weight():
@@ -52,6 +92,10 @@ def test_bad_input_is_named():
         learn_operator_weights([])
     with pytest.raises(InputError, match="same operators"):
         learn_operator_weights([pair(0), pair(1, sigmas=(1.0,))])
-    weights = OperatorWeights(("other",), torch.ones(1, dtype=D), torch.zeros(1))
+    with pytest.raises(InputError, match="folds"):
+        learn_operator_weights([pair(0), pair(1)], folds=3)
+    error = PoseError(1.0, 1.0)
+    one = torch.ones(1, dtype=D)
+    weights = OperatorWeights(("other",), one, torch.zeros(1), error, None, 0, 1)
     with pytest.raises(InputError, match="other"):
         weights.of(pair(0).matches)
