@@ -27,8 +27,11 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY)
 	$(BIN)/sfmkit demo
 
+# Test processes; each computes on one thread.
+JOBS ?= 2
+
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 # Mutated inputs of every kind that is read; a finding is saved and replayed with REPLAY=KIND-NUMBER.
 INPUTS ?= 20000
