@@ -1,7 +1,7 @@
 """Forked children compute on one thread.
 
-The threads of torch and of OpenMP do not survive ``fork``, and a child that counts on them waits for
-ever (Linux, torch 2.15: a matrix product after one in the parent). torch may be imported after
+The threads of torch and of OpenMP do not survive ``fork``, and a child that uses them
+hangs (Linux, torch 2.15: a matrix product after one in the parent). torch may be imported after
 sfmkit or not at all, so it is looked up when the process forks.
 """
 

@@ -135,8 +135,8 @@ class Registry(Generic[T]):
             found = None
         if module == "__main__" or found is not plugin:
             raise self.error(
-                f"{self.kind} '{name}' cannot be imported by another process ({module}:{qualname}); "
-                "define it at the top level of an importable module"
+                f"{self.kind} '{name}' cannot be imported by another process "
+                f"({module}:{qualname}); define it at the top level of an importable module"
             )
         return f"{module}:{qualname}"
 

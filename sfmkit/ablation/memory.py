@@ -11,7 +11,8 @@ from types import TracebackType
 class PeakMemory:
     """The most memory that the process held between ``with`` and its end.
 
-    Linux forgets the peak on request. Elsewhere it is the peak since the process began; 0 if the peak is not available.
+    On Linux the peak is reset at the start of the block. Elsewhere it is the peak since the process
+    started; 0 if the peak is not available.
 
     Attributes:
         mb: megabytes (10^6 bytes), once the block has ended.

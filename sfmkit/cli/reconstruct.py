@@ -24,7 +24,7 @@ def given(**values: Any) -> dict[str, Any]:
 def matchers(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> tuple[str | None, dict[str, str]]:
-    """``("a", "surf=b")`` as ``("a", {"surf": "b"})``: the matcher of all, and of some operators."""
+    """Split ``("a", "surf=b")`` into the default matcher and ``{"surf": "b"}``."""
     pairs = [value.split("=") for value in values if "=" in value]
     alone = [value for value in values if "=" not in value]
     if len(alone) > 1:

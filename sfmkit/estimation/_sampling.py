@@ -16,13 +16,12 @@ _SLIM = 1e-3  # chance of the worst kind: a wrong model must not rule matches ou
 
 
 class Sampler:
-    """Draws minimal samples of distinct matches, and computes the probability to have missed a good one.
+    """Draw minimal samples of distinct matches; compute the probability that no good one was drawn.
 
     PROSAC's idea on batches: some rounds draw from the matches of the best quality only, others
     from all. Within a round every match has its own probability, learned from the share of inliers
-    of its kind under the best model so far. Counting what has been tried, a round of n samples has missed every
-    all-inlier sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is
-    an inlier.
+    of its kind under the best model so far. A round of n samples has missed every all-inlier
+    sample with probability ``(1 - p^k)^n``, where p is the probability that one draw is an inlier.
 
     Source: Chum & Matas, "Matching with PROSAC - progressive sample consensus", CVPR 2005.
     """
@@ -94,7 +93,7 @@ class Sampler:
         return samples[(ascending[:, 1:] != ascending[:, :-1]).all(1)]
 
     def scoring_subset(self, count: int) -> Tensor:
-        """Draw (count,) or fewer distinct matches, int64, with the probabilities of the last round."""
+        """Draw at most `count` distinct matches (int64), with the last round's probabilities."""
         p = self.rounds[-1][1]
         wait = torch.empty(len(p), dtype=torch.float64).exponential_(generator=self.generator)
         return (p / wait).topk(min(count, int((p > 0).sum()))).indices

@@ -1,5 +1,7 @@
-"""Robust estimation by other libraries, PoseLib and pycolmap (the ``peers`` extra), behind the same
-calls. CPU only."""
+"""Robust estimation by PoseLib and pycolmap (the ``peers`` extra) with the same interface.
+
+CPU only.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +46,8 @@ def estimate_poselib(
         method: ``loransac`` is the only one.
 
     Returns:
-        RobustModel; without a model when there are fewer than 5 (E), 8 (F) or 4 (H) matches or
-        none is found.
+        RobustModel; without a model for fewer than 5 (E), 8 (F) or 4 (H) matches, or if the search
+        finds none.
 
     Raises:
         InputError: PoseLib is not installed; unknown model or method, shapes, dtypes, NaN, skew.
@@ -72,7 +74,7 @@ def estimate_pycolmap(
     return _estimate("pycolmap", _pycolmap, x1, x2, K1, K2, model, method, settings)
 
 
-Found = tuple[np.ndarray | None, int]  # the model, and the samples tried
+Found = tuple[np.ndarray | None, int]  # the model, and the number of samples
 Settings = tuple[float, float, int, int]  # threshold_px, confidence, max_iterations, seed
 
 
@@ -151,7 +153,7 @@ def _poselib(
 
 
 def _camera(K: Tensor) -> dict[str, Any]:
-    """An ideal pinhole, as both libraries describe it: without skew."""
+    """Describe a pinhole camera for both libraries, which do not support skew."""
     if float(K[0, 1]) != 0:
         raise InputError("PoseLib and pycolmap do not support skew: K[0, 1] must be zero")
     fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))

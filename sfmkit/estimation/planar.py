@@ -87,12 +87,18 @@ def estimate_planar(
         H, evidence = _search(x1, x2, options.threshold_px, generator)
     if H is None or evidence["log10_false_alarms"] > MAX_LOG10_NFA:
         k, m = int(evidence.get("inliers", 0)), int(evidence.get("matches", n))
-        reason = f"At best {k:,} of the {m:,} most distinctive matches agree on one homography: chance would do as well."
+        reason = (
+            f"At best {k:,} of the {m:,} most distinctive matches agree on one homography, which "
+            "can be explained by chance."
+        )
         return PlanarFit(None, nothing, reason, evidence)
     if options.method == "prefixes":
         H = refine_homography(H, x1, x2, threshold_px=options.threshold_px)
     inliers = squared_homography_sampson_distance(H, corr.x1, corr.x2) < options.threshold_px**2
-    reason = f"{int(inliers.sum()):,} of {n:,} matches agree on one homography, which chance does not explain."
+    reason = (
+        f"{int(inliers.sum()):,} of {n:,} matches agree on one homography, which cannot be "
+        "explained by chance."
+    )
     return PlanarFit(H, inliers, reason, evidence)
 
 

@@ -33,8 +33,8 @@ from .plugins import run_estimator
 from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, assess
 
-# Samples of the search for a competing plane: one that holds a quarter of the matches is missed with
-# a probability of (1 - 0.25^4)^2000 = 0.0004.
+# Samples of the search for a competing plane: one that holds a quarter of the matches is missed
+# with a probability of (1 - 0.25^4)^2000 = 0.0004.
 PLANE_ITERATIONS = 2_000
 
 

@@ -1,8 +1,9 @@
 """The Oxford benchmark: homographies of single operators and of their fusion, by the paper's recipe
 and by ours.
 
-Every image is searched once, every operator's features are matched once, and all seeds and recipes
-use the same matches. Rows go to ``rows.jsonl`` as they are made, so an interrupted run can be resumed.
+Features are detected once per image and matched once per operator; all seeds and recipes use the
+same matches. Rows are appended to ``rows.jsonl`` as they are made, so an interrupted run can be
+resumed.
 """
 
 from __future__ import annotations

@@ -47,8 +47,8 @@ def tilted(image: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndar
     """The view at tilt `t` in the direction `phi`.
 
     Returns:
-        image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0 where it shows
-        nothing.
+        image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0
+        outside `image`.
     """
     h, w = image.shape[:2]
     c, s = math.cos(phi), math.sin(phi)

@@ -1,4 +1,4 @@
-"""A keypoint budget that keeps the whole image covered."""
+"""Select keypoints within a budget, spread over the whole image."""
 
 from __future__ import annotations
 
@@ -7,27 +7,25 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 
-ROBUSTNESS = 0.5  # a keypoint gives way to one twice as strong; see docs/benchmarks.md
+ROBUSTNESS = 0.5  # a keypoint is suppressed by one twice as strong; see docs/benchmarks.md
 _LEAF_BITS = 6
 
 
 def suppression_radii(
     keypoints: np.ndarray, scores: np.ndarray, robustness: float = ROBUSTNESS
 ) -> np.ndarray:
-    """Distance from every keypoint i to the nearest one j that is clearly stronger:
-    ``score_i < robustness * score_j``.
+    """Compute the distance from every keypoint to the nearest clearly stronger one.
 
-    (Brown, Szeliski & Winder 2005, section 3.) With a robustness of 1, the earlier of two equal
-    ones is the stronger.
+    Keypoint j is clearly stronger than i if ``score_i < robustness * score_j`` (Brown, Szeliski &
+    Winder 2005, section 3). With a robustness of 1, the first of two equal ones is the stronger.
 
     Args:
         keypoints: (N, 2) pixels.
         scores: (N,) strengths, not negative.
-        robustness: at most 1. The smaller it is, the less noise in the scores decides which
-            keypoints are kept.
+        robustness: at most 1. A smaller value reduces the influence of noise in the scores.
 
     Returns:
-        (N,) float64 pixels; infinite where there is no clearly stronger one.
+        (N,) float64 pixels; infinite without a clearly stronger one.
     """
     order = np.argsort(-scores, kind="stable")
     points, strength = keypoints[order], scores[order]
@@ -42,10 +40,10 @@ def suppression_radii(
 
 
 def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Distance from point i to the nearest of ``points[:first[i]]``; infinite where that is none.
+    """Compute the distance from point i to the nearest of ``points[:first[i]]``, or infinity.
 
     The first m points are one block of 2^b points for every bit b that is set in m: each block has
-    its own k-d tree, and the last few points are tried one by one.
+    its own k-d tree, and the last few points are compared one by one.
     """
     distance = np.full(len(points), np.inf)
     for bit in range(_LEAF_BITS, int(first.max(initial=0)).bit_length()):
@@ -71,12 +69,12 @@ def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
 def select_evenly(
     keypoints: np.ndarray, scores: np.ndarray, budget: int, size_wh: tuple[int, int]
 ) -> np.ndarray:
-    """At most `budget` keypoints, strong ones, spread over the image: adaptive non-maximal
-    suppression.
+    """Select at most `budget` strong keypoints, spread over the image.
 
-    Kept are those that rule the largest neighbourhoods: the `budget` largest distances to the
-    nearest clearly stronger keypoint (Brown, Szeliski & Winder 2005, section 3); where more are
-    ruled by none, the largest distances to any stronger one.
+    Adaptive non-maximal suppression (Brown, Szeliski & Winder 2005, section 3) keeps the keypoints
+    with the `budget` largest distances to the nearest clearly stronger one. If more than `budget`
+    keypoints have no clearly stronger one, those with the largest distances to any stronger one are
+    kept.
 
     Args:
         keypoints: (N, 2) pixels.
@@ -88,7 +86,7 @@ def select_evenly(
         Rows of the chosen keypoints, ascending. The same input gives the same rows.
 
     Raises:
-        InputError: a budget below 1, shapes that do not fit, or keypoints outside the image.
+        InputError: a budget below 1, inconsistent shapes, or keypoints outside the image.
     """
     if isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1:
         raise InputError(

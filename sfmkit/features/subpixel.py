@@ -1,7 +1,7 @@
-"""Corners to a fraction of a pixel: the top of a paraboloid through the detector's own response.
+"""Sub-pixel refinement of corners: the maximum of a paraboloid through the detector's response.
 
-Any other response (say, Harris around FAST corners) has its maximum elsewhere and makes positions
-worse, as ``cv2.cornerSubPix`` does; see docs/benchmarks.md.
+Another response (for example Harris around FAST corners) has its maximum elsewhere and makes
+positions worse, as ``cv2.cornerSubPix`` does; see docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Response = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """FAST-9 score at whole pixels at least 3 pixels inside the image.
+    """Compute the FAST-9 score at whole pixels at least 3 pixels inside the image.
 
     The largest threshold at which 9 neighbouring pixels of the circle are all brighter, or all
     darker, than the centre by more than it (Rosten & Drummond 2006); ``cv2.FastFeatureDetector``
-    reports this number less 1.
+    reports this number minus 1.
 
     Args:
         grey: (H, W) uint8.
@@ -46,7 +46,7 @@ def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _best_arc(ring: np.ndarray) -> np.ndarray:
-    """Over all arcs of 9 of the 16 values along axis 0, the largest of their minima."""
+    """Find the largest minimum of all arcs of 9 of the 16 values along axis 0."""
     ring = np.concatenate([ring, ring[: _ARC - 1]])
     two = np.minimum(ring[:-1], ring[1:])
     four = np.minimum(two[:-2], two[2:])
@@ -55,13 +55,13 @@ def _best_arc(ring: np.ndarray) -> np.ndarray:
 
 
 def paraboloid_top(r: np.ndarray) -> np.ndarray:
-    """Where the least-squares paraboloid through 3 x 3 values has its maximum.
+    """Find the maximum of the least-squares paraboloid through 3 x 3 values.
 
     Args:
         r: (3, 3, N) values, rows (y) first.
 
     Returns:
-        (N, 2) x, y from the middle, held within [-1/2, 1/2]; 0 where there is no maximum.
+        (N, 2) x, y from the middle, clamped to [-1/2, 1/2]; 0 without a maximum.
     """
     g_x, g_y = (r[:, 2] - r[:, 0]).sum(axis=0) / 6, (r[2] - r[0]).sum(axis=0) / 6
     h_xx = (r[:, 0] - 2 * r[:, 1] + r[:, 2]).sum(axis=0) / 3
@@ -78,20 +78,19 @@ def paraboloid_top(r: np.ndarray) -> np.ndarray:
 def refine(
     grey: np.ndarray, xy: np.ndarray, detector: str, options: dict[str, Any], octave: np.ndarray
 ) -> np.ndarray:
-    """Positions of whole-pixel corners to a fraction of a pixel.
+    """Refine the positions of whole-pixel corners to a fraction of a pixel.
 
     Args:
-        grey: (H, W) uint8, the image they were found in.
-        xy: (N, 2) positions as OpenCV gave them.
+        grey: (H, W) uint8, their image.
+        xy: (N, 2) positions from OpenCV.
         detector: ``fast``, ``agast``, ``orb``, ``gftt`` or ``harris``.
         options: the detector's.
         octave: (N,) pyramid level of each (ORB; elsewhere unused).
 
     Returns:
-        (N, 2) float64. ORB's are also mapped back through the true sizes of the pyramid's levels,
-        between pixel
-        centres: OpenCV multiplies level coordinates by the nominal scale, which is up to 2 pixels
-            off.
+        (N, 2) float64. Positions of ORB are also corrected for the true sizes of the pyramid's
+        levels: OpenCV multiplies level coordinates by the nominal scale, which is wrong by up to 2
+        pixels.
     """
     if detector == "orb":
         return _refine_pyramid(grey, xy, octave, options)
@@ -110,7 +109,7 @@ def refine(
 
 
 def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 4) -> np.ndarray:
-    """(N, 2) offsets to the response's maximum; zero within `margin` pixels of the border."""
+    """Compute offsets (N, 2) to the response's maximum; 0 within `margin` of the border."""
     h, w = grey.shape
     offset = np.zeros((len(xy), 2))
     cell = np.rint(xy).astype(np.int64)
@@ -125,7 +124,7 @@ def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 
 def _pyramid(
     grey: np.ndarray, scale_factor: float, levels: int
 ) -> Iterator[tuple[int, float, np.ndarray]]:
-    """Level, nominal scale and image of ORB's pyramid, each resized from the one before."""
+    """Yield level, nominal scale and image of ORB's pyramid, each resized from the previous."""
     h, w = grey.shape
     for level in range(levels):
         scale = scale_factor**level

@@ -1,8 +1,8 @@
-"""SURF in torch: what OpenCV's C++ finds, which its wheels leave out.
+"""SURF in torch, compatible with OpenCV's SURF, which OpenCV's wheels do not contain.
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008). Sizes,
-thresholds, angles and the order of the descriptor's numbers are OpenCV's, so that settings and
-results carry over.
+thresholds, angles and the order of the descriptor's numbers follow OpenCV, so its settings and
+results can be reused.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..types import Features
 from .surf_descriptor import Level, descriptor, level_of, orientation, smoothed_levels
 from .surf_detector import fast_hessian
 
-CHUNK = 1024  # keypoints described at once on a CPU: their samples stay in cache
+CHUNK = 1024  # keypoints described at once on a CPU, whose samples fit the cache
 CHUNK_ACCELERATOR = 8192
-# pixels; keypoints described together are close together, so that their pixels stay in cache too
+# pixels; nearby keypoints are described together, so that their pixels stay in the cache
 TILE = 256
 
 
@@ -37,22 +37,21 @@ def surf(
     """Detect and describe SURF keypoints.
 
     Args:
-        image: (H, W) grey levels 0 to 255, uint8, or another real type that is rounded to it.
-        hessian_threshold: least determinant of the Hessian, as in OpenCV (whose default is 100; the
-            paper on fusion that sfmkit follows uses 30).
+        image: (H, W) grey levels 0 to 255, uint8 or another real type, which is rounded.
+        hessian_threshold: minimum determinant of the Hessian, as in OpenCV (whose default is 100;
+            the paper on fusion that sfmkit follows uses 30).
         octaves: doublings of the filters' size.
         layers: scales in an octave at which blobs are found.
-        extended: 128 numbers a descriptor in place of 64.
+        extended: 128 numbers per descriptor instead of 64.
         upright: leave the orientation at 0 (U-SURF): faster, for cameras that do not roll.
-        device: where to compute; the CPU by default.
+        device: torch device; the CPU by default.
 
     Returns:
         The features, strongest first: `scales` are diameters in pixels, `scores` determinants of
-            the Hessian, `angles`
-        radians, `laplacian` the sign of the Laplacian.
+        the Hessian, `angles` radians, `laplacian` the sign of the Laplacian.
 
     Raises:
-        InputError: the image or an option is not usable.
+        InputError: the image or an option is invalid.
     """
     if not (np.isfinite(hessian_threshold) and hessian_threshold >= 0):
         raise InputError(
@@ -91,7 +90,7 @@ def describe(
     upright: bool = False,
     device: torch.device | str | None = None,
 ) -> np.ndarray:
-    """SURF descriptors of keypoints that another detector found.
+    """Compute SURF descriptors of keypoints from another detector.
 
     Args:
         image: (H, W) grey levels as for :func:`surf`.
@@ -99,13 +98,13 @@ def describe(
         scales: (N,) diameters in pixels, positive.
         angles: (N,) radians from x towards y; None to compute SURF's own orientation.
         extended, device: as for :func:`surf`.
-        upright: take all angles as 0, whatever `angles` says.
+        upright: use the angle 0 for all keypoints and ignore `angles`.
 
     Returns:
         (N, 64 or 128) float32 descriptors of unit length, in the order of the keypoints.
 
     Raises:
-        InputError: the arrays are not usable.
+        InputError: the arrays are invalid.
     """
     xy, size = np.asarray(keypoints, dtype=np.float32), np.asarray(scales, dtype=np.float32)
     angle = None if angles is None else np.asarray(angles, dtype=np.float32)
@@ -130,8 +129,10 @@ def describe(
 
 
 def _integral(image: np.ndarray, device: torch.device | str | None) -> Tensor:
-    """(H + 1, W + 1) int32 integral image; sums wrap around 2^32, differences of them do not
-    mind."""
+    """Compute the (H + 1, W + 1) int32 integral image.
+
+    Its sums wrap around 2^32, which leaves the differences correct.
+    """
     image = np.asarray(image)
     if image.ndim != 2 or image.size == 0:
         raise InputError(f"SURF needs a grey image (H, W), not shape {image.shape}")
@@ -143,7 +144,7 @@ def _integral(image: np.ndarray, device: torch.device | str | None) -> Tensor:
             or image.max() > 255
         ):
             raise InputError(
-                f"SURF needs grey levels from 0 to 255; got {image.dtype} outside of it"
+                f"SURF needs grey levels from 0 to 255; got {image.dtype} values outside"
             )
         image = np.rint(image).astype(np.uint8)
     return torch.from_numpy(cv2.integral(image, sdepth=cv2.CV_32S)).to(device or "cpu")
@@ -152,7 +153,7 @@ def _integral(image: np.ndarray, device: torch.device | str | None) -> Tensor:
 def _describe(
     integral: Tensor, xy: Tensor, size: Tensor, angle: Tensor | None, extended: bool, upright: bool
 ) -> tuple[Tensor, Tensor]:
-    """Angles (N,), those given or SURF's own, and descriptors (N, 64 or 128)."""
+    """Compute angles (N,), unless they are given, and descriptors (N, 64 or 128)."""
     find_angle = angle is None and not upright
     angles = xy.new_zeros(len(xy)) if angle is None or upright else angle.clone()
     described = xy.new_zeros(len(xy), 128 if extended else 64)

@@ -1,9 +1,9 @@
-"""Orientation and descriptor of SURF keypoints, many at a time.
+"""Orientation and descriptor of SURF keypoints, in batches.
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008), section 4.
 
-Samples come first and keypoints last in every array, (samples, N): the arithmetic then runs over
-contiguous memory and the sums over samples are matrix products with constant weights.
+All arrays have the shape (samples, N): the arithmetic then uses contiguous memory, and the sums
+over samples are matrix products with constant weights.
 """
 
 from __future__ import annotations
@@ -16,20 +16,18 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-SCALE_PER_SIZE = (
-    1.2 / 9
-)  # the Gaussian scale s that a box filter of side `size` approximates (section 3.3)
+# Gaussian scale s that a box filter of side `size` approximates, over `size` (section 3.3)
+SCALE_PER_SIZE = 1.2 / 9
 
 ORIENTATION_RADIUS = 6  # of the disc of Haar responses, in s; sampled every s
 ORIENTATION_SIGMA = 2.5  # of the Gaussian weights over the disc, in s
 WINDOW_DEGREES = 60  # of the sliding sector, closed at both ends but for half a degree
 SEARCH_DEGREES = 5  # step of the sliding sector
-BINS = (
-    2 * 360 // SEARCH_DEGREES + 1
-)  # multiples of the step and the gaps between them, -180 to 180 degrees
+# multiples of the step and the gaps between them, -180 to 180 degrees
+BINS = 2 * 360 // SEARCH_DEGREES + 1
 
 PATCH = 20  # side of the described window, in s
-CELLS = 4  # a side
+CELLS = 4  # per side
 PATCH_SIGMA = 3.3  # of the Gaussian weights over the window, in s
 
 
@@ -42,8 +40,10 @@ class Level(NamedTuple):
 
 
 def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
-    """The first `levels` levels, boxes of 1, 2, 4, ... pixels at steps of half a box, as far as
-    they fit the image."""
+    """Compute the first `levels` levels, as far as their boxes fit the image.
+
+    The boxes are 1, 2, 4, ... pixels wide, at steps of half a box.
+    """
     high, wide = (n - 1 for n in integral.shape)
     stack = []
     for level in range(levels):
@@ -58,13 +58,15 @@ def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
 
 
 def level_of(size: Tensor) -> Tensor:
-    """The level whose box is closest to the spacing of the descriptor's samples, which averages
-    without aliasing."""
+    """Choose the level whose box is closest to the spacing of the descriptor's samples.
+
+    This avoids aliasing.
+    """
     return torch.log2(size * (SCALE_PER_SIZE / 0.8)).floor().clamp(min=0).long()
 
 
 def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
-    """Dominant direction of the gradient around each keypoint (section 4.1).
+    """Compute the dominant direction of the gradient around each keypoint (section 4.1).
 
     Args:
         integral: (H + 1, W + 1) int32 integral image.
@@ -72,8 +74,8 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
         size: (N,) diameters.
 
     Returns:
-        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits the image or
-        nothing has contrast.
+        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits the image or the
+        neighbourhood has no contrast.
     """
     high, wide = (n - 1 for n in integral.shape)
     pitch = wide + 1
@@ -83,8 +85,10 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
     i, j, steps, gauss = _disc(integral.device)
 
     def lattice(centre: Tensor, extent: int) -> tuple[Tensor, Tensor]:
-        """First pixels of the wavelets along one axis, and their weights: none for those that leave
-        the image."""
+        """Compute the first pixels of the wavelets along one axis, and their weights.
+
+        The weight is 0 for wavelets that leave the image.
+        """
         first = torch.round(centre + steps * s - (half - 0.5)).int()
         fits = (first >= 0) & (first <= extent - 2 * half)
         return torch.where(fits, first, 0), fits * gauss
@@ -130,7 +134,7 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
 
 
 def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: bool) -> Tensor:
-    """Gradient sums over 4 x 4 cells of the rotated window around each keypoint (section 4.2).
+    """Sum gradients over 4 x 4 cells of the rotated window of each keypoint (section 4.2).
 
     Args:
         level: a box mean of the image, from :func:`smoothed_levels`.
@@ -146,9 +150,8 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
     mean, box, step = level
     high, wide = mean.shape
     samples = PATCH + 1
-    spacing = (samples * SCALE_PER_SIZE * size).floor().clamp(
-        min=1
-    ) / samples  # the window has whole pixels
+    window = (samples * SCALE_PER_SIZE * size).floor().clamp(min=1)  # whole pixels
+    spacing = window / samples
     # Pixels -> samples of `mean` -> grid_sample's [-1, 1] from the outer edge of the first sample
     # to that of the last.
     to_grid = torch.tensor([2 / wide, 2 / high], device=mean.device)
@@ -184,8 +187,12 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
 
 @cache
 def _disc(device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Columns and rows of the lattice points in the disc, the lattice's steps (13, 1) and its
-    Gaussian (13, 1)."""
+    """Compute the lattice of the orientation.
+
+    Returns:
+        Columns and rows of the lattice points in the disc, the steps (13, 1) and the Gaussian
+        (13, 1).
+    """
     steps = torch.arange(-ORIENTATION_RADIUS, ORIENTATION_RADIUS + 1)
     j, i = (steps[:, None] ** 2 + steps**2 <= ORIENTATION_RADIUS**2).nonzero(as_tuple=True)
     gauss = torch.exp(-(steps**2) / (2 * ORIENTATION_SIGMA**2))
@@ -194,9 +201,9 @@ def _disc(device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 @cache
 def _sectors(device: torch.device) -> Tensor:
-    """(BINS, 72) 0/1: which bins the sector around 0, 5, ... 355 degrees holds."""
-    # Bin 2k holds multiples of the step, bin 2k + 1 the degrees between; -180 degrees and 180 are
-    # two bins.
+    """Mark the bins of the sectors around 0, 5, ... 355 degrees, (BINS, 72) of 0 and 1."""
+    # Bin 2k contains a multiple of the step, bin 2k + 1 the degrees between; -180 and 180 degrees
+    # are separate bins.
     middle = (torch.arange(BINS) - BINS // 2) * (SEARCH_DEGREES / 2)
     distance = (middle[:, None] - torch.arange(0, 360, SEARCH_DEGREES) + 180) % 360 - 180
     return (distance.abs() < WINDOW_DEGREES / 2).float().to(device)
@@ -204,7 +211,7 @@ def _sectors(device: torch.device) -> Tensor:
 
 @cache
 def _cell_weights(device: torch.device) -> Tensor:
-    """(16, 400) Gaussian weights of the window's gradients, each in the row of its cell."""
+    """Compute the Gaussian weights of the gradients, (16, 400), each in its cell's row."""
     offset = torch.arange(PATCH) - (PATCH - 1) / 2
     gauss = torch.exp(-(offset**2) / (2 * PATCH_SIGMA**2))
     cell = torch.arange(PATCH) // (PATCH // CELLS)

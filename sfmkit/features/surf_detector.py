@@ -1,13 +1,15 @@
-"""The fast-Hessian detector of SURF: blobs as maxima of a box-filter determinant of the Hessian
-over place and scale.
+"""The fast-Hessian detector of SURF.
+
+It detects blobs as maxima of the determinant of the Hessian, from box filters, over position and
+scale.
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008), section 3.
 
-Everything dense happens on flat strips. A strip of full rows is one contiguous run of memory, a
-shift by (rows, columns) is an offset into it, and a box sum is a few differences of shifted runs of
-the integral image: the fastest thing a tensor library does, in pieces that stay in cache. The
-columns that wrap around a row's end carry garbage; they lie in the margin where a filter would
-stick out of the image, which is cut away.
+All dense computations use flat strips. A strip of full rows is contiguous in memory, a shift by
+(rows, columns) is an offset into it, and a box sum is a few differences of shifted parts of the
+integral image. These operations are fast in a tensor library, and the strips fit the cache. The
+columns that wrap around a row's end contain invalid values; they lie in the margin where a filter
+would extend beyond the image, which is discarded.
 """
 
 from __future__ import annotations
@@ -21,17 +23,12 @@ from torch import Tensor
 
 from .._utils.parallel import map_on_cores
 
-FIRST_SIZE = (
-    9  # side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
-)
+# side of the smallest box filter, pixels: the second derivatives of a Gaussian of sigma 1.2
+FIRST_SIZE = 9
 SIZE_STEP = 6  # difference in side from layer to layer in the first octave
-CROSS_WEIGHT = (
-    0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (section 3.2)
-)
-STRIP = (
-    1 << 18
-    # samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
-)
+CROSS_WEIGHT = 0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (sec. 3.2)
+# samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+STRIP = 1 << 18
 STRIP_ACCELERATOR = 1 << 22
 
 
@@ -59,16 +56,16 @@ class Blobs:
 def fast_hessian(
     integral: Tensor, threshold: float, octaves: int, layers: int, strip: int | None = None
 ) -> Blobs:
-    """Maxima above `threshold` of the fast Hessian, ordered by octave, layer, row and column.
+    """Find maxima of the fast Hessian, ordered by octave, layer, row and column.
 
     Args:
-        integral: (H + 1, W + 1) int32 integral image (modulo 2^32, as differences of it are).
-        threshold: least determinant of the Hessian.
+        integral: (H + 1, W + 1) int32 integral image, modulo 2^32.
+        threshold: maxima are above it.
         octaves: doublings of the sampling step; those whose filters do not fit the image are left
             out.
-        layers: layers in an octave in which maxima are sought; two more surround them.
-        strip: samples of one layer in a strip; changes the speed, not the result. By default what
-            suits the device.
+        layers: layers per octave that are searched for maxima; two more surround them.
+        strip: samples of one layer in a strip; affects the speed, not the result. The default
+            depends on the device.
     """
     strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)
     pyramid = map_on_cores(lambda octave: _Octave(integral, octave, layers), range(octaves))
@@ -99,8 +96,8 @@ class _Octave:
         self.device = integral.device
         self.sizes = [(FIRST_SIZE + SIZE_STEP * i) << octave for i in range(layers + 2)]
         self.rows, self.cols = ((n - 1) // step for n in integral.shape)
-        # A middle layer's maxima need the whole filter of the layer above, and its neighbours,
-        # inside the image.
+        # A maximum of a middle layer needs the whole filter of the layer above, also at the
+        # neighbours, inside the image.
         self.margins = [size // 2 // step + 1 for size in self.sizes[2:]]
         self.first, self.last = self.margins[0], self.rows - self.margins[0]
         if 2 * self.margins[0] < min(self.rows, self.cols):
@@ -109,14 +106,15 @@ class _Octave:
             self.last = self.first  # not even the smallest filters fit
 
     def _split_phases(self, integral: Tensor) -> None:
-        """Sample the integral image at every phase of the grid, so that any corner of a box is a
-        contiguous run."""
+        """Sample the integral image at every phase of the grid.
+
+        Any corner of a box is then contiguous in memory for a strip.
+        """
         step = self.step
         high, wide = (-(-n // step) for n in integral.shape)
         self.pitch = wide
-        self.guard = (
-            self.sizes[-1] // step + 2
-        )  # rows that filters of the strips at the border may reach beyond it
+        # rows that filters of the strips at the border may reach beyond it
+        self.guard = self.sizes[-1] // step + 2
         self.phases = [
             [integral.new_zeros((high + 2 * self.guard) * wide) for _ in range(step)]
             for _ in range(step)
@@ -127,21 +125,23 @@ class _Octave:
             rows[: len(sampled), : sampled.shape[1]] = sampled
 
     def _corner(self, row: int, col: int, start: int, length: int) -> Tensor:
-        """`length` samples of the integral image, `row` and `col` pixels off the grid points that
-        follow `start`."""
+        """Return `length` samples of the integral image.
+
+        They are `row` and `col` pixels away from the grid points that follow `start`.
+        """
         begin = start + (row // self.step + self.guard) * self.pitch + col // self.step
         return self.phases[row % self.step][col % self.step][begin : begin + length]
 
     def determinant(self, layer: int, first: int, out: Tensor) -> None:
-        """Determinant of the Hessian of `layer` at the grid points from flat index `first` on,
-        added to `out` (length,)."""
+        """Add the determinant of the Hessian of `layer` to `out` (length,).
+
+        It is computed at the grid points from the flat index `first` on.
+        """
         size, step, pitch = self.sizes[layer], self.step, self.pitch
         box = size // 3  # the lobes of Dxx and Dyy are `box` wide, those of Dxy `box` square
         k = box // step
-        near, far = (
-            round(2 * size / 9),
-            round(7 * size / 9),
-        )  # extent of the lobes across the direction of derivation
+        # extent of the lobes across the direction of differentiation
+        near, far = round(2 * size / 9), round(7 * size / 9)
         cross, cross_far = round(size / 9), round(5 * size / 9)
         centre = size // 2 // step
         start, length = first - centre * (pitch + 1), len(out)
@@ -175,7 +175,7 @@ class _Octave:
         )
 
     def laplacian_sign(self, layer: Tensor, row: Tensor, col: Tensor) -> Tensor:
-        """(M,) int8 sign of Dxx + Dyy at grid points."""
+        """Compute the sign of Dxx + Dyy at grid points, (M,) int8."""
         sign = torch.zeros(len(layer), dtype=torch.int8, device=layer.device)
         for i, size in enumerate(self.sizes):
             here = (layer == i).nonzero().squeeze(1)
@@ -198,23 +198,25 @@ class _Octave:
         return sign
 
     def strips(self, samples: int) -> list[tuple[int, int]]:
-        """Ranges of rows [top, bottom) of about `samples` grid points each, wherein maxima may
-        be."""
+        """Split the rows that can contain maxima into ranges of about `samples` grid points."""
         if self.first == self.last:
             return []
         high = max(1, samples // self.pitch - 2)
         return [(top, min(top + high, self.last)) for top in range(self.first, self.last, high)]
 
     def maxima(self, top: int, bottom: int, least: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Maxima of at least `least` in the rows [top, bottom): layer, row, column (M,), the (27,
-        M) responses around."""
+        """Find maxima of at least `least` in the rows [top, bottom).
+
+        Returns:
+            Layer, row and column (M,), and the responses around each (27, M).
+        """
         pitch = self.pitch
-        length = (bottom - top + 2) * pitch  # with a row more on either side
+        length = (bottom - top + 2) * pitch  # with one more row on either side
         det = torch.zeros(len(self.sizes), length, device=self.device)
         for number, response in enumerate(det):
             self.determinant(number, (top - 1) * pitch, response)
         # The highest of the 27 samples around each, first over the layers, then along and across
-        # the rows. A sample that reaches it is a maximum, unless another ties with it.
+        # the rows. A sample equal to it is a maximum, unless another one is equal too.
         highest = torch.maximum(det[:-1], det[1:])
         highest = torch.maximum(highest[:-1], highest[1:])
         across = torch.maximum(highest[:, :-2], highest[:, 2:])
@@ -243,13 +245,15 @@ class _Octave:
         return layer[strict], row[strict], col[strict], cube[:, strict]
 
     def blobs(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
-        """The octave's maxima, ordered and interpolated."""
+        """Order and interpolate the maxima of the octave."""
         order = torch.argsort((layer * self.rows + row) * self.cols + col)
         return self._interpolated(layer[order], row[order], col[order], cube[:, order])
 
     def _interpolated(self, layer: Tensor, row: Tensor, col: Tensor, cube: Tensor) -> Blobs:
-        """Blobs at the maximum of the quadratic through the (27, M) responses around each (Brown
-        and Lowe 2002)."""
+        """Move the blobs to the maximum of the quadratic through the (27, M) responses.
+
+        Source: Brown and Lowe 2002.
+        """
         offset = _quadratic_peak(cube.view(3, 3, 3, -1))
         good = (offset.abs() <= 1).all(0) & (offset != 0).any(0)
         layer, row, col, cube, offset = (
@@ -267,15 +271,20 @@ class _Octave:
 
 
 def _third_difference(a: Tensor, k: int) -> Tensor:
-    """a[3k:] - 3 a[2k:] + 3 a[k:] - a: the lobes 1, -2, 1, each k wide, from the cumulative sum
-    `a`."""
+    """Compute a[3k:] - 3 a[2k:] + 3 a[k:] - a from the cumulative sum `a`.
+
+    These are the lobes 1, -2, 1, each k wide.
+    """
     n = len(a) - 3 * k
     return (a[3 * k :] - a[:n]).sub_(a[2 * k : 2 * k + n] - a[k : k + n], alpha=3)
 
 
 def _quadratic_peak(d: Tensor) -> Tensor:
-    """(3, M) offset (x, y, scale) in samples of the stationary point of the quadratic through `d`
-    (3, 3, 3, M)."""
+    """Find the stationary point of the quadratic through the samples `d` (3, 3, 3, M).
+
+    Returns:
+        (3, M) offset (x, y, scale) in samples.
+    """
     d = d.double()
     gx, gy, gs = (
         (d[1, 1, 2] - d[1, 1, 0]) / 2,

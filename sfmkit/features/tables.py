@@ -1,9 +1,8 @@
-"""What the operators are: literal tables of detectors, descriptors and named pairs of the two.
+"""Tables of detectors, descriptors and operators (named pairs of the two).
 
-An operator is a detector (where?) with a descriptor (what does it look like?). :data:`OPERATORS`
-names the usual pairs; any other ``detector+descriptor`` is put together by :func:`find_spec`
-from :data:`DETECTORS` and :data:`DESCRIPTORS`. Options of OpenCV's operators keep OpenCV's names,
-so that its manual applies.
+:data:`OPERATORS` contains the usual pairs; :func:`find_spec` builds any other
+``detector+descriptor`` from :data:`DETECTORS` and :data:`DESCRIPTORS`. Options of OpenCV's
+operators have OpenCV's names, so that its manual applies.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ Options = Mapping[str, Any]
 OPENCV = "Apache-2.0 (OpenCV)"
 SIFT_PATENT = "Apache-2.0 (OpenCV); US 6,711,293 expired in March 2020"
 SURF_PATENT = (
-    "Apache-2.0 (our code); patents US 8,165,401, US 8,670,619, EP 2 027 558 (priority April 2006): "
-    "check your jurisdiction"
+    "Apache-2.0 (our code); patents US 8,165,401, US 8,670,619, EP 2 027 558 (priority April "
+    "2006): check your jurisdiction"
 )
 
 
@@ -30,20 +29,19 @@ class DetectorSpec:
     """A keypoint detector.
 
     Attributes:
-        create: its factory below ``cv2``; None for one of our own.
+        create: name of its factory in ``cv2``; None for an sfmkit implementation.
         options: its options with our defaults.
-        function: of one of our own, ``module:name`` in this package:
+        function: of an sfmkit implementation, ``module:name`` in this package:
             ``(grey, *, device, **options) -> Features``.
-        fixed: options of the factory that are always set to this value.
-        fast_size: a keypoint's size times this is the diameter that FAST would give (7 pixels for a
-            corner at full resolution). OpenCV's detectors mean different things by `size`; its
-            descriptors are made for FAST's.
+        fixed: options of the factory with a fixed value.
+        fast_size: a keypoint's size times this is the diameter of FAST (7 pixels for a corner at
+            full resolution). `size` differs between OpenCV's detectors; its descriptors assume
+            that of FAST.
         integer: positions are whole pixels, refined when `subpixel` is on.
-        oriented: gives keypoints an orientation.
+        oriented: whether keypoints have an orientation.
         only_with: the only descriptor that can describe its keypoints; None for any.
         why: the reason for `only_with`.
-        min_side: images with a shorter side than this hold no keypoint (OpenCV fails or crashes on
-            them).
+        min_side: images with a shorter side have no keypoints (OpenCV fails or crashes on them).
         licence: of the implementation, and patents.
     """
 
@@ -65,23 +63,22 @@ class DescriptorSpec:
     """A keypoint descriptor.
 
     Attributes:
-        create: its factory below ``cv2``; None for one of our own.
-        norm: how two descriptors are compared.
+        create: name of its factory in ``cv2``; None for an sfmkit implementation.
+        norm: of the distance between two descriptors.
         width: length in floats (norm l2) or bits (norm hamming), at default options.
         options: its options with our defaults.
-        function: of one of our own, ``module:name`` in this package:
+        function: of an sfmkit implementation, ``module:name`` in this package:
             ``(grey, xy, sizes, angles, *, device, **options) -> descriptors``.
-        fixed: options of the factory that are always set to this value.
-        native: the detector with which it is one operator; the detector of the same name unless
-            given.
-        size: the described neighbourhood of our own descriptors, as a multiple of FAST's size.
-        hellinger: compare by the Hellinger kernel in place of L2.
+        fixed: options of the factory with a fixed value.
+        native: the detector with which it is one operator; by default that of the same name.
+        size: the neighbourhood of an sfmkit descriptor, as a multiple of FAST's size.
+        hellinger: compare by the Hellinger kernel instead of L2.
         reads_octave: takes the scale from the keypoint's octave, not from its size.
-        reads_missing_angle: finds an orientation only where the keypoint has none (-1).
-        margin: keypoints closer than this to the border, in pixels, are dropped; 0 where it depends
-            on their size.
-        orients: finds the orientation itself, whatever the detector said.
-        rotates_by: the option that makes it follow the keypoint's orientation; None when it always
+        reads_missing_angle: computes an orientation only if the keypoint has none (-1).
+        margin: keypoints closer than this to the border, in pixels, are dropped; 0 if the margin
+            depends on their size.
+        orients: computes the orientation itself and ignores that of the detector.
+        rotates_by: the option that makes it follow the keypoint's orientation; None if it always
             does.
         only_with: the only detector whose keypoints it can describe; None for any.
         why: the reason for `only_with`.
@@ -117,7 +114,7 @@ class OperatorSpec:
         norm: ``l2`` or ``hamming``.
         width: descriptor length in floats or bits, at default options.
         options: every option with our default.
-        paper, dense: what replaces the defaults in the presets of these names.
+        paper, dense: options that replace the defaults in these presets.
         licence: of the implementation, and patents (facts only).
         summary: one line.
     """
@@ -135,14 +132,14 @@ class OperatorSpec:
 
     @property
     def is_pair(self) -> bool:
-        """Whether detector and descriptor are two operators, run one after the other."""
+        """Whether detector and descriptor are separate, run one after the other."""
         return self.detector != (DESCRIPTORS[self.descriptor].native or self.descriptor)
 
 
 _SIFT: Options = {
     "nfeatures": 0,
     "nOctaveLayers": 3,
-    # OpenCV's 0.04 finds 3.8 thousand keypoints in a 6-megapixel photograph
+    # OpenCV's default 0.04 finds only 3,800 keypoints in a 6-megapixel photograph
     "contrastThreshold": 0.01,
     "edgeThreshold": 10.0,
     "sigma": 1.6,
@@ -179,11 +176,8 @@ DETECTORS: Mapping[str, DetectorSpec] = {
     ),
     "harris": DetectorSpec(
         "GFTTDetector_create",
-        {
-            **_GFTT,
-            "qualityLevel": 1e-4,
-            "k": 0.04,
-        },  # a response of fourth order in the gradient, hence the square
+        # The response is of fourth order in the gradient, hence a smaller qualityLevel.
+        {**_GFTT, "qualityLevel": 1e-4, "k": 0.04},
         fixed={"useHarrisDetector": True},
         fast_size=7 / 3,
         integer=True,
@@ -230,8 +224,8 @@ DETECTORS: Mapping[str, DetectorSpec] = {
     ),
 }
 
-# The options that say how faint a keypoint may be, and how many there are: the preset ``dense``
-# halves and doubles them.
+# The options for the minimum strength and the maximum number of keypoints: the preset ``dense``
+# halves the former and doubles the latter.
 FAINTEST: Mapping[str, str] = {
     "surf": "hessian_threshold",
     "orb": "fastThreshold",
@@ -260,8 +254,8 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         64,
         {"extended": False},
         function="surf:describe",
-        # SURF's own size per FAST's is 1/1.25 and FAST's peers read 5 of them; a little more than
-        # SURF's own 2.7 multiples is best on other detectors' keypoints
+        # OpenCV's descriptors cover 5 times the size of FAST, and SURF's size is 1/1.25 of it. On
+        # other detectors' keypoints, slightly more than SURF's own neighbourhood is best.
         size=2.5,
         licence=SURF_PATENT,
     ),
@@ -306,7 +300,7 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
         {"bytes": 32, "rotationInvariance": True, "half_ssd_size": 3, "sigma": 2.0},
         margin=24,
     ),
-    # Patch sides are multiples of the size that FAST gives; see DetectorSpec.fast_size.
+    # Patch sides are multiples of the size of FAST; see DetectorSpec.fast_size.
     "beblid": DescriptorSpec("xfeatures2d.BEBLID_create", "hamming", 512, {"scale_factor": 5.0}),
     "teblid": DescriptorSpec("xfeatures2d.TEBLID_create", "hamming", 256, {"scale_factor": 5.0}),
     "boost": DescriptorSpec("xfeatures2d.BoostDesc_create", "hamming", 256, {"scale_factor": 5.0}),
@@ -326,18 +320,17 @@ DESCRIPTORS: Mapping[str, DescriptorSpec] = {
     "kaze": DescriptorSpec("xfeatures2d.KAZE_create", "l2", 64, only_with="kaze", why=_LEVELS),
 }
 
-# Detectors and descriptors of cv2 that are left out, and why: asked for by name, one deserves an
-# answer.
+# Detectors and descriptors of cv2 that are not supported, and the reasons, for the error message.
 LEFT_OUT: Mapping[str, str] = {
-    "lucid": "it needs a colour image, and ranks bytes, which neither norm compares",
+    "lucid": "it needs a colour image, and neither norm can compare its ranks of bytes",
     "msd": "OpenCV's implementation crashes on small images",
-    "harris-laplace": "OpenCV's implementation is half a pixel off",
-    "tbmr": "OpenCV's implementation gives no response to rank by, and orientations in other units",
+    "harris-laplace": "the positions of OpenCV's implementation are wrong by half a pixel",
+    "tbmr": "OpenCV's implementation has no response, and its orientations have another unit",
 }
 
 
 def _pair(detector: str, descriptor: str, name: str, summary: str) -> OperatorSpec:
-    """An operator from its two rows; a name that both use is the detector's option."""
+    """Combine two rows into an operator; the detector's option wins where both have one."""
     where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
     native = detector == (what.native or descriptor)
     options = dict(where.options) if native else {**what.options, **where.options}
@@ -429,11 +422,11 @@ OPERATORS: Mapping[str, OperatorSpec] = {
 
 
 def find_spec(name: str) -> OperatorSpec:
-    """The named operator, or the pair that ``detector+descriptor`` names.
+    """Find the named operator, or build the pair ``detector+descriptor``.
 
     Raises:
-        OperatorError: unknown name (the nearest known one is suggested), or a pair that does not
-            fit together.
+        OperatorError: unknown name (the message suggests the nearest known one), or an incompatible
+            pair.
     """
     name = str(name).strip().lower()
     if name in OPERATORS:

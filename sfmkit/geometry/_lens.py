@@ -1,8 +1,8 @@
 """The lens models: image and Jacobian of a point, field of view, and a start for the inverse.
 
 A model maps the squared radius s of an ideal point to a ratio, ``r_d = r ratio(s)``. For OpenCV's
-model r is the radius in normalised coordinates; for the fisheye it is the angle to the optical axis.
-The map can be inverted up to the fold, the first s at which ``r_d`` no longer grows with r.
+model r is the radius in normalised coordinates; for the fisheye it is the angle to the optical
+axis. The map can be inverted up to the fold, the first s at which ``r_d`` no longer grows with r.
 
 Source: Brown, Close-range camera calibration, 1971; Claus and Fitzgibbon, A rational function lens
 distortion model, CVPR 2005; OpenCV's documentation of ``calib3d``; Kannala and Brandt, A generic

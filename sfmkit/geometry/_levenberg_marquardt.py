@@ -103,7 +103,7 @@ def levenberg_marquardt(
 
 
 def _select(condition: Tensor, a: Any, b: Any) -> Any:
-    """Return a where the condition ``(*B,)`` holds and b elsewhere, for nested tuples of tensors."""
+    """Return a where the condition ``(*B,)`` holds, else b, for nested tuples of tensors."""
     if isinstance(a, Tensor):
         missing = a.ndim - condition.ndim
         return torch.where(condition.reshape(condition.shape + (1,) * missing), a, b)

@@ -115,13 +115,15 @@ def _check(
     sizes = {(f1.size_wh, f2.size_wh) for f1, f2, _ in matches.values()}
     if len(sizes) > 1:
         raise InputError(
-            f"the operators saw images of different sizes: {sorted(sizes)}; fuse matches of one pair of images"
+            f"the features of the operators come from images of different sizes: {sorted(sizes)}; "
+            "fuse matches of one pair of images"
         )
     for name, (f1, f2, m) in matches.items():
         for f, index in ((f1, m.index1), (f2, m.index2)):
             if len(index) and not (index.min() >= 0 and index.max() < len(f)):
                 raise InputError(
-                    f"the matches of '{name}' point outside its {len(f)} features; were they made from others?"
+                    f"the matches of '{name}' contain indices outside its {len(f)} features; they "
+                    "may belong to other features"
                 )
 
 

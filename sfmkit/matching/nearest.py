@@ -1,14 +1,14 @@
-"""Stage 2: exact nearest neighbours between the descriptors of two images.
+"""Find exact nearest neighbours between the descriptors of two images.
 
-Both norms become one matrix product whose largest entry in a row marks the nearest neighbour:
+Both norms reduce to a matrix product whose largest entry in a row belongs to the nearest neighbour:
 
-- L2: ``a·b - |a|²/2 - |b|²/2 = -|a - b|²/2``, with the two squared norms appended to the vectors as
-  further columns;
+- L2: ``a·b - |a|²/2 - |b|²/2 = -|a - b|²/2``, with the two squared norms appended to the vectors
+  as columns;
 - Hamming: with bits written as ±1, ``a·b = D - 2 h(a, b)`` for ``D`` bits of which ``h`` differ.
 
-The product is formed a few rows at a time, so that a strip of it is reduced (largest of every row,
-of every column) while it still lies in the cache. Reading the full product back from memory would
-cost more than computing it.
+The product is computed in strips of a few rows. Each strip is reduced (largest entry per row and
+per column) while it is still in the cache; reading the full product back from memory would take
+longer than computing it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,12 @@ from .._utils.parallel import map_on_cores
 from ..errors import InputError
 from ..types import Features, Matches
 
-# columns whose largest score is taken first; the argmax then searches one block in place of a whole
-# row
+# columns per block: the maximum of every block is found first, then the argmax within one block
 _BLOCK = 128
-_STRIP = {
-    "cpu": 5 << 18,
-    "cuda": 1 << 26,
-}  # entries of the product formed at a time: 5 MiB stay in a CPU's cache
-_PART = 1024  # rows at least that one core searches in a go
-_MANY = 64  # candidates within rounding of the nearest that are measured one by one
+# entries of the product computed at a time: 5 MiB stay in a CPU's cache
+_STRIP = {"cpu": 5 << 18, "cuda": 1 << 26}
+_PART = 1024  # minimum number of rows that one core searches at a time
+_MANY = 64  # maximum number of candidates within rounding of the nearest that are compared exactly
 
 
 def match(
@@ -46,14 +43,13 @@ def match(
     max_distance: float | None = None,
     device: torch.device | str | None = None,
 ) -> Matches:
-    """The nearest neighbour in image 2 of every feature of image 1, by default where the two choose
-    each other.
+    """Match every feature of image 1 to its nearest neighbour in image 2, mutual by default.
 
-    The search is exact, and the norm is that of the features. Where both know the sign of the
+    The search is exact, and the norm is that of the features. If both have the sign of the
     Laplacian, only features of equal sign are compared (Bay et al. 2008, section 4.3), and the
-    second-nearest neighbour is one of that sign too. Equally near candidates are decided for the
-    lowest row, in both directions, so the result is deterministic. What rounding in float32 leaves
-    open is decided in float64. On CUDA, torch's float32 matrix products must not be set to a lower
+    second-nearest neighbour has that sign too. Of equally near candidates the lowest row is chosen,
+    in both directions, so the result is deterministic. Comparisons within the rounding of float32
+    are repeated in float64. On CUDA, torch's float32 matrix products must not be set to a lower
     precision (TF32) than torch's own default.
 
     Args:
@@ -61,18 +57,18 @@ def match(
         mutual: keep a match only if feature 1 is the nearest neighbour of feature 2 as well
             (cross-check).
         max_ratio: keep a match only if its distance is below this multiple of the distance to the
-            second-nearest neighbour (Lowe 2004, section 7.1, proposes 0.8). A sole candidate has no
-            ratio and is dropped.
+            second-nearest neighbour (Lowe 2004, section 7.1, proposes 0.8). A single candidate has
+            no ratio and is dropped.
         max_distance: keep a match only if its distance is at most this (L2, or number of differing
             bits).
-        device: where to compute, e.g. ``"cuda"``; the CPU by default.
+        device: torch device, e.g. ``"cuda"``; the CPU by default.
 
     Returns:
-        M matches in the order of ``index1``; ``ratio`` is NaN where image 2 offers a single
-        candidate. Memory beyond the features grows with N1 + N2, not with their product.
+        M matches in the order of ``index1``; ``ratio`` is NaN if image 2 has a single candidate.
+        Memory beyond the features grows with N1 + N2, not with their product.
 
     Raises:
-        InputError: when the two cannot be compared, or a limit makes no sense.
+        InputError: the features are not comparable, or a limit is invalid.
     """
     _check_comparable(features1, features2)
     if max_ratio is not None and not 0 < max_ratio <= 1:
@@ -104,25 +100,26 @@ def match(
 
 
 def _check_comparable(features1: Features, features2: Features) -> None:
-    """Raise InputError unless distances between the two sets of descriptors mean something."""
+    """Raise InputError if the descriptors of the two images are not comparable."""
     for name in ("operator", "norm"):
         a, b = getattr(features1, name), getattr(features2, name)
         if a != b:
             raise InputError(
-                f"features of different {name} ('{a}' and '{b}') cannot be matched; detect with one operator"
+                f"features of different {name} ('{a}' and '{b}') cannot be matched; detect with "
+                "one operator"
             )
     w1, w2 = features1.descriptors.shape[1], features2.descriptors.shape[1]
     if w1 != w2 and len(features1) and len(features2):
         raise InputError(
-            f"descriptors of {w1} and {w2} columns cannot be matched; give {features1.operator} the same options in both images"
+            f"descriptors of {w1} and {w2} columns cannot be matched; use the same options of "
+            f"{features1.operator} in both images"
         )
 
 
 def _comparable_rows(
     features1: Features, features2: Features
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The groups of rows within which features may match: by sign of the Laplacian where both know
-    it, else one."""
+    """Group the rows that may match: by sign of the Laplacian if both have it, else one group."""
     if features1.laplacian is None or features2.laplacian is None:
         return [(np.arange(len(features1)), np.arange(len(features2)))]
     signs = np.union1d(features1.laplacian, features2.laplacian)
@@ -142,7 +139,7 @@ def _match_rows(
     mutual: bool,
     device: torch.device | str | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """index1, index2, distance and ratio of the matches between two groups of rows."""
+    """Match two groups of rows; return index1, index2, distance and ratio."""
     if not len(rows1) or not len(rows2):
         return (
             np.zeros(0, np.int64),
@@ -161,25 +158,27 @@ def _match_rows(
     if len(rows2) == 1:
         ratio = np.full(len(i), np.nan)
     else:
-        # Two candidates at distance 0 are as ambiguous as can be: ratio 1.
+        # Two candidates at distance 0 cannot be distinguished: ratio 1.
         runner_up = measure(a[i], b[second])
         ratio = np.divide(distance, runner_up, out=np.ones(len(i)), where=runner_up > 0)
     return rows1[i], rows2[j], distance.astype(np.float32), ratio.astype(np.float32)
 
 
 def _l2_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(M,) distances between corresponding rows."""
+    """Compute L2 distances (M,) between corresponding rows."""
     return np.linalg.norm(np.subtract(a, b, dtype=np.float64), axis=1)
 
 
 def _hamming_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(M,) numbers of bits that differ between corresponding rows."""
+    """Count differing bits (M,) between corresponding rows."""
     return np.bitwise_count(a ^ b).sum(axis=1, dtype=np.float64)
 
 
 def _l2_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Tensor, Tensor, float]:
-    """(N1, D + 2) and (N2, D + 2) whose product is -|a - b|²/2, and how far two such numbers may be
-    off together."""
+    """Build (N1, D + 2) and (N2, D + 2) vectors whose product is -|a - b|²/2.
+
+    Also returns a bound of the rounding error of a comparison of two such products.
+    """
     # Distances do not change when both sets are shifted, and shorter vectors lose fewer digits. The
     # shift is a whole number, so that integer descriptors (SIFT) stay integers, whose products are
     # exact.
@@ -188,8 +187,8 @@ def _l2_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Ten
     longest = max(float(np.square(x, dtype=np.float64).sum(1).max()) for x in (a, b))
     exact = longest < 2**22 and all((x == np.rint(x)).all() for x in (a, b))
     terms = a.shape[1] + 2
-    # Each sum of products is off by at most `terms` roundings of its terms' magnitudes, here |a||b|
-    # + |a|²/2 + |b|²/2 (Higham 2002, section 3.1); a comparison involves two of them.
+    # The error of each sum of products is at most `terms` roundings of its terms' magnitudes, here
+    # |a||b| + |a|²/2 + |b|²/2 (Higham 2002, section 3.1); a comparison involves two of them.
     tolerance = 0.0 if exact else 2 * terms * 2.0**-24 * 2 * longest
     ta, tb = (torch.from_numpy(x).to(device) for x in (a, b))
     half_a, half_b = (-t.double().square().sum(1, keepdim=True).float() / 2 for t in (ta, tb))
@@ -200,8 +199,10 @@ def _l2_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Ten
 def _hamming_vectors(
     a: np.ndarray, b: np.ndarray, device: torch.device
 ) -> tuple[Tensor, Tensor, float]:
-    """(N1, D) and (N2, D) of ±1, whose product falls by 2 with every bit that differs, and is
-    exact."""
+    """Build (N1, D) and (N2, D) vectors of ±1.
+
+    Their product decreases by 2 with every differing bit and is exact.
+    """
     dtype = _fastest_sign_dtype() if device.type == "cpu" else torch.float32
     ta, tb = (torch.from_numpy(np.unpackbits(x, axis=1).astype(np.int8) * 2 - 1) for x in (a, b))
     return ta.to(device, dtype), tb.to(device, dtype), 0.0
@@ -209,9 +210,9 @@ def _hamming_vectors(
 
 @cache
 def _fastest_sign_dtype() -> torch.dtype:
-    """The dtype in which this processor multiplies matrices of ±1 faster: int8 or float32.
+    """Choose the dtype in which this processor multiplies matrices of ±1 faster.
 
-    Both are exact, so the choice never changes a result. It is measured, because torch's int8
+    int8 and float32 are both exact, so the choice never changes a result. It is measured, because torch's int8
     product is several times faster with VNNI instructions and 20 times slower without them
     (torch 2.15, AVX2), and torch has no public query for them.
     """
@@ -231,28 +232,25 @@ def _fastest_sign_dtype() -> torch.dtype:
 
 
 def _has_onednn(instructions: str) -> bool:
-    """Whether torch has oneDNN here, on a processor with (at least) these vector instructions."""
+    """Return whether torch has oneDNN and the processor these vector instructions."""
     return (
         torch.backends.mkldnn.is_available()
         and torch.backends.cpu.get_cpu_capability().startswith(instructions)
     )
 
 
-Distance = Callable[
-    [np.ndarray, np.ndarray], np.ndarray
-]  # of rows i of image 1 and rows j of image 2
+# distances of rows i of image 1 and rows j of image 2
+Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _nearest(
     a: Tensor, b: Tensor, tolerance: float, mutual: bool, distance: Distance
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows i of `a`, and the rows j and k of `b` with the highest and second-highest scores
-    ``a @ b.T`` in row i.
+    """Find the rows j and k of `b` with the two highest scores ``a @ b.T`` of every row i of `a`.
 
-    With `mutual`, only the rows i that are best in column j. That is seen from how large the
-    column's two largest entries are, since finding where they sit costs several times as much. What
-    the scores leave open, because they differ by no more than `tolerance`, is searched again and
-    decided by `distance`.
+    With `mutual`, only the rows i that are best in column j. This is decided from the values of
+    the column's two largest entries, since finding their positions takes several times as long.
+    Scores that differ by at most `tolerance` are searched again and compared by `distance`.
     """
     n2 = len(b)
     padded = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])])
@@ -289,7 +287,7 @@ def _nearest(
 
 @dataclass(frozen=True)
 class _Found:
-    """What a search over some rows found.
+    """The result of a search over some rows.
 
     Attributes:
         best, second: (R,) columns of the highest and second-highest score of every row.
@@ -308,8 +306,10 @@ class _Found:
 
 
 def _search(a: Tensor, b: Tensor, n2: int, mutual: bool) -> _Found:
-    """The two highest scores in every row of ``a @ b[:n2].T``, and in every column if `mutual`,
-    strip by strip."""
+    """Find the two highest scores in every row of ``a @ b[:n2].T``, and per column if `mutual`.
+
+    The product is computed in strips.
+    """
     strip = _strip(a, b)
     out = torch.empty(
         (strip, len(b)), dtype=torch.int32 if a.dtype == torch.int8 else a.dtype, device=a.device
@@ -336,12 +336,11 @@ def _search(a: Tensor, b: Tensor, n2: int, mutual: bool) -> _Found:
 def _search_exactly(
     a: Tensor, b: Tensor, tolerance: float, distance: Distance
 ) -> tuple[Tensor, Tensor]:
-    """(R,) the rows of `b` nearest and second-nearest to every row of `a` by `distance`; of equally
-    near ones, the lowest.
+    """Find the rows (R,) of `b` nearest and second-nearest to every row of `a` by `distance`.
 
-    Only rows whose score is within `tolerance` of the highest are measured. Where these are many,
-    nearly all descriptors are the same, and they count as equally near. The second is -1 where it
-    was not among those measured.
+    Of equally near rows the lowest is chosen. Only rows whose score is within `tolerance` of the
+    highest are compared. If these are many, nearly all descriptors are equal, and they count as
+    equally near. The second is -1 if it is not among the compared rows.
     """
     strip, dtype = _strip(a, b), torch.int32 if a.dtype == torch.int8 else a.dtype
     nearest, second = (a.new_full((len(a),), -1, dtype=torch.int64) for _ in range(2))
@@ -362,27 +361,26 @@ def _search_exactly(
 
 
 def _strip(a: Tensor, b: Tensor) -> int:
-    """How many rows of `a` to multiply with `b` at a time."""
+    """Compute how many rows of `a` to multiply with `b` at a time."""
     return max(1, min(len(a), max(32, _STRIP[a.device.type] // len(b) // 32 * 32)))
 
 
 def _product(a: Tensor, b: Tensor, out: Tensor) -> Tensor:
-    """``a @ b.T``, in `out` or, where the fastest way has no such argument, in a new tensor."""
+    """Compute ``a @ b.T``, in `out` or, if the fastest function has no `out`, in a new tensor."""
     if a.dtype == torch.int8:
         return torch._int_mm(a, b.t(), out=out)
     if a.is_cpu and _has_onednn("AVX512"):
-        # torch.mm calls MKL, which leaves AVX-512 alone on processors of other makers and then
+        # torch.mm calls MKL, which does not use AVX-512 on processors of other makers and then
         # takes twice as long.
         return torch.ops.mkldnn._linear_pointwise(a, b, None, "none", [], "")
     return torch.mm(a, b.t(), out=out)
 
 
 def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Columns of the largest and second-largest entry of every row of (R, blocks, block), then the
-    entries themselves.
+    """Find the two largest entries of every row of (R, blocks, block): columns, then values.
 
     Both lie in the two blocks with the largest maxima, and only those are searched. Of equal
-    entries the first counts.
+    entries the first is chosen.
     """
     r, _, size = scores.shape
     lowest = _lowest(scores.dtype)
@@ -391,7 +389,7 @@ def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     block2 = maxima.scatter(1, block1, lowest).argmax(1, keepdim=True)
     block = torch.cat([block1, block2], 1)
     finalists = scores[torch.arange(r, device=scores.device)[:, None], block]
-    # With a single block both are the same one: its copy must not come second to itself.
+    # With a single block both are the same: its copy must not become the second.
     finalists[:, 1].masked_fill_(block1 == block2, lowest)
     finalists = finalists.flatten(1)
     place1 = finalists.argmax(1, keepdim=True)
@@ -403,5 +401,5 @@ def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def _lowest(dtype: torch.dtype) -> float:
-    """Less than every score."""
+    """Return a value below every score."""
     return -torch.inf if dtype.is_floating_point else torch.iinfo(dtype).min

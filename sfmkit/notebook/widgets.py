@@ -1,7 +1,7 @@
 """Interactive views for JupyterLab: click a photograph, or a keypoint in the embedded Rerun viewer.
 
-A photograph is an SVG whose user units are the photograph's pixels, so that a click and a drawn
-line are exact at any size on the screen. Nothing is fetched from a network.
+A photograph is an SVG whose user units are the photograph's pixels, so clicks and drawn lines are
+exact at any size on the screen. Nothing is fetched from a network.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ _INK = {"pixel": "#F0E442", "line": "#F0E442", "match": "#FFFFFF"}
 
 
 class Picture(anywidget.AnyWidget):
-    """A picture that tells where it was clicked, with a drawing over it.
+    """A picture with an overlay, which reports the position of clicks.
 
     Attributes:
-        kind: ``photograph``, which is clicked, or ``map``, which is not; its element has the class
-            ``sfmkit-<kind>``.
+        kind: ``photograph``, which can be clicked, or ``map``, which cannot; the class of the
+            element is ``sfmkit-<kind>``.
         clicked: [x, y] of the last click in pixels of the picture, empty before the first.
         overlay: SVG elements in pixels of the picture.
     """
@@ -59,16 +59,19 @@ class Picture(anywidget.AnyWidget):
       svg.setAttribute("viewBox", `-0.5 -0.5 ${w} ${h}`);
       const kind = model.get("kind");
       svg.setAttribute("class", `sfmkit-${kind}`);
-      svg.style.cssText = `width: 100%; display: block; cursor: ${kind === "photograph" ? "crosshair" : "default"}`;
+      const cursor = kind === "photograph" ? "crosshair" : "default";
+      svg.style.cssText = `width: 100%; display: block; cursor: ${cursor}`;
       const image = document.createElementNS(ns, "image");
-      for (const [k, v] of Object.entries({ x: -0.5, y: -0.5, width: w, height: h })) image.setAttribute(k, v);
+      for (const [k, v] of Object.entries({ x: -0.5, y: -0.5, width: w, height: h }))
+        image.setAttribute(k, v);
       const url = URL.createObjectURL(new Blob([model.get("jpeg")], { type: "image/jpeg" }));
       image.setAttribute("href", url);
       const overlay = document.createElementNS(ns, "g");
       const draw = () => { overlay.innerHTML = model.get("overlay"); };
       svg.append(image, overlay);
       svg.addEventListener("click", (event) => {
-        const p = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+        const to_pixels = svg.getScreenCTM().inverse();
+        const p = new DOMPoint(event.clientX, event.clientY).matrixTransform(to_pixels);
         model.set("clicked", [p.x, p.y]);
         model.save_changes();
       });
@@ -90,13 +93,13 @@ class Picture(anywidget.AnyWidget):
 
 
 class FigureSlider(ipywidgets.VBox):
-    """A slider above a picture that is drawn anew for each of its values.
+    """A slider above a picture that is redrawn when the value changes.
 
     Args:
-        draw: makes a matplotlib Figure of the slider's value.
+        draw: makes a matplotlib Figure from the slider's value.
         name: of the value.
-        value, low, high, step: of the slider; whole numbers make a whole slider.
-        dpi: of the picture; fewer are faster.
+        value, low, high, step: of the slider; if all are int, so is the slider's value.
+        dpi: of the picture; a smaller number is faster.
     """
 
     def __init__(
@@ -127,7 +130,7 @@ class FigureSlider(ipywidgets.VBox):
 
 
 class EpipolarWidget(ipywidgets.VBox):
-    """Both photographs and the scene from above: click the left one, and the others answer.
+    """Both photographs and the scene from above; a click on the left one updates the others.
 
     Image 2 shows the pixel's epipolar line, the candidates along it and the match; the scene from
     above shows the pixel's ray and the match's point.
@@ -136,7 +139,7 @@ class EpipolarWidget(ipywidgets.VBox):
         result: a reconstruction, or an :class:`EpipolarExplorer`.
 
     Attributes:
-        view: what the last pixel said, None before the first.
+        view: the view of the last pixel, None before the first.
     """
 
     def __init__(self, result: Reconstruction | EpipolarExplorer):
@@ -160,8 +163,8 @@ class EpipolarWidget(ipywidgets.VBox):
             rgb, self._pixels = scene_from_above(result.cloud, result.two_view)
             self.above = Picture(rgb, kind="map")
         explained = ipywidgets.HTML(
-            "<small><b>band</b>: a keypoint this near to the line is drawn.<br>"
-            "<b>reach</b>: a match this near to the click is the click's.</small>"
+            "<small><b>band</b>: largest distance of a drawn keypoint from the line.<br>"
+            "<b>reach</b>: largest distance of a match from the click.</small>"
         )
         controls = ipywidgets.VBox([self.words, self.band, self.reach, explained])
         below = [_share(controls, 45)] + ([] if self.above is None else [_share(self.above, 55)])
@@ -185,8 +188,10 @@ class EpipolarWidget(ipywidgets.VBox):
         )
 
     def look(self, x1: Any) -> EpipolarView | None:
-        """Show what pixel x1 = (x, y) of image 1 says; a pixel outside the image is answered in
-        words only."""
+        """Show the epipolar line, candidates and match of pixel x1 = (x, y) of image 1.
+
+        For a pixel outside the image, only a message is shown and None is returned.
+        """
         try:
             self.view = self.explorer.look(x1)
         except InputError as error:
@@ -204,17 +209,16 @@ class EpipolarWidget(ipywidgets.VBox):
         return self.view
 
     def follow(self, viewer: NotebookExplorer) -> NotebookExplorer:
-        """Also answer keypoints of image 1 that are selected in an embedded Rerun viewer, and draw
-        the ray there.
+        """Treat a keypoint of image 1 selected in an embedded Rerun viewer as a click.
 
-        Returns the viewer.
+        The ray is also drawn in the viewer. Returns the viewer.
         """
         self._viewer = viewer
         viewer.on_event(self.on_viewer_event)
         return viewer
 
     def on_viewer_event(self, event: Any) -> None:
-        """Take a selection in the viewer for a click, where it is a keypoint of image 1."""
+        """Treat a selected keypoint of image 1 in the viewer as a click on its pixel."""
         for item in getattr(event, "items", ()):
             pixel = self.explorer.selected(
                 getattr(item, "entity_path", ""), getattr(item, "instance_id", None)
@@ -230,7 +234,7 @@ class EpipolarWidget(ipywidgets.VBox):
 
 
 def overlays(view: EpipolarView, result: Reconstruction) -> tuple[str, str]:
-    """The SVG over image 1 and over image 2, in pixels of the photographs."""
+    """Draw the SVG overlays of image 1 and image 2, in pixels of the photographs."""
     size = max(result.images[0].size_wh) / 120
     left = _circle(view.x1, size, _INK["pixel"], "pixel")
     right = ""
@@ -247,31 +251,35 @@ def overlays(view: EpipolarView, result: Reconstruction) -> tuple[str, str]:
 
 
 def ray_overlay(ray: np.ndarray, point: np.ndarray | None) -> str:
-    """The SVG over the scene from above: the ray's ends (2, 2) and the match's point (2,), in
-    pixels of the picture."""
+    """Draw the SVG overlay of the scene from above.
+
+    Args:
+        ray: (2, 2) ends of the ray, pixels of the picture.
+        point: (2,) the match's point, pixels of the picture; None for none.
+    """
     drawn = _polyline(" ".join(f"{x:.3f},{y:.3f}" for x, y in ray), "ray")
     return drawn if point is None else drawn + _circle(point, 8, "#000000", "point")
 
 
 def _polyline(points: str, kind: str) -> str:
-    """In yellow on black, which shows on any photograph."""
+    """Draw a line in yellow on black, which is visible on any photograph."""
     return "".join(
-        f'<polyline class="{name}" points="{points}" fill="none" stroke="{colour}" stroke-width="{width}" '
-        'vector-effect="non-scaling-stroke"/>'
+        f'<polyline class="{name}" points="{points}" fill="none" stroke="{colour}" '
+        f'stroke-width="{width}" vector-effect="non-scaling-stroke"/>'
         for name, colour, width in (("casing", "#000000", 3.5), (kind, _INK["line"], 1.5))
     )
 
 
 def _share(widget: Any, percent: int) -> Any:
-    """The widget with its share of a row, and a little air on its right."""
+    """Set the width of a widget in its row, with a margin on its right."""
     widget.layout = ipywidgets.Layout(width=f"{percent}%", padding="0 8px 0 0")
     return widget
 
 
 def _circle(x: Any, radius: float, colour: str, kind: str) -> str:
     return (
-        f'<circle class="{kind}" cx="{x[0]:.3f}" cy="{x[1]:.3f}" r="{radius:.2f}" fill="none" stroke="{colour}" '
-        'stroke-width="2" vector-effect="non-scaling-stroke"/>'
+        f'<circle class="{kind}" cx="{x[0]:.3f}" cy="{x[1]:.3f}" r="{radius:.2f}" '
+        f'fill="none" stroke="{colour}" stroke-width="2" vector-effect="non-scaling-stroke"/>'
     )
 
 

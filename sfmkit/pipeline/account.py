@@ -1,4 +1,4 @@
-"""The account: what each operator put in and what became of it (the paper's Table 6)."""
+"""Per-operator statistics, from keypoints to points (the paper's Table 6)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ ALL = "multi"  # the paper's name for the operators together
 
 @dataclass(frozen=True)
 class OperatorAccount:
-    """One line of the account.
+    """The statistics of one operator, or of all together.
 
-    A correspondence or point that several operators found counts for each of them, so the
-    operators' numbers add up to the line of all only where nothing was merged.
+    A correspondence or point that several operators found counts for each of them, so the numbers
+    of the operators add up to the total only if nothing was merged.
 
     Attributes:
         keypoints: found in image 1 and image 2.
         matches: after the operator's own matching.
-        initial: correspondences after fusion that carry the operator; without merging the same as
-            `matches`.
+        initial: fused correspondences that the operator found; without merging equal to `matches`.
         inliers: of those, in agreement with the epipolar geometry.
         points: of those, in the cloud.
         points_alone: points that no other operator found.
-        share_initial: `initial` over that of all operators together.
-        share_points: `points` over those of the whole cloud.
+        share_initial: `initial` over the number of all correspondences.
+        share_points: `points` over the number of points of the cloud.
         loss: share of `initial` that did not become a point.
     """
 
@@ -44,6 +43,7 @@ class OperatorAccount:
     loss: float
 
     def as_dict(self) -> dict:
+        """Convert to plain data for JSON."""
         return {**asdict(self), "keypoints": list(self.keypoints)}
 
 
@@ -62,7 +62,7 @@ HEAD = (
 
 
 def account_cells(name: str, line: Mapping[str, Any]) -> tuple[str, ...]:
-    """A line (:meth:`OperatorAccount.as_dict`) below :data:`HEAD`, as it is printed."""
+    """Format :meth:`OperatorAccount.as_dict` as the cells below :data:`HEAD`."""
     counts = (
         *line["keypoints"],
         line["matches"],
@@ -81,12 +81,12 @@ def _share(part: int, whole: int) -> float:
 def make_account(
     corr: Correspondences, inliers: Tensor, cloud: PointCloud | None
 ) -> dict[str, OperatorAccount]:
-    """The account of every operator and, last, of all (``multi``).
+    """Compute the statistics of every operator and, last, of all (``multi``).
 
     Args:
         corr: N fused correspondences with their counts.
         inliers: (N,) bool.
-        cloud: the points, or None where there is no cloud.
+        cloud: the points, None without a cloud.
     """
     n, m = len(corr), 0 if cloud is None else len(cloud)
 

@@ -1,5 +1,7 @@
-"""What one pixel of image 1 says about image 2: the logic behind the interactive views, without any
-of their widgets."""
+"""Relate one pixel of image 1 to image 2: epipolar line, candidates, match and ray.
+
+The interactive views use this module; it does not depend on their widgets.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +35,19 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class EpipolarView:
-    """What a pixel of image 1 says.
+    """What corresponds to a pixel of image 1.
 
     Attributes:
         x1: the pixel.
-        line: (3,) its epipolar line in image 2 as an ideal pinhole sees it, ``a² + b² = 1``.
-        curve: (N, 2) the same inside image 2, pixels of the photograph; two ends unless the lens
-            bends it, none if the line passes by.
+        line: (3,) its epipolar line in the undistorted image 2, ``a² + b² = 1``.
+        curve: (N, 2) the part of it inside image 2, pixels of the photograph: two ends without
+            lens distortion, more with it, none if the line does not cross the image.
         candidates: keypoints of image 2 near the line, nearest first.
-        match: row of the inlying correspondence nearest to the pixel, None if none is near.
+        match: row of the inlier correspondence nearest to the pixel, None if none is near.
         x1_match, x2_match: (2,) its pixels.
         residual_px: its distance from its own epipolar line in image 2, pixels.
         ray: (3,) unit direction in camera 1 of the pixel.
-        X: (3,) the match's point in camera 1, baselines, None where there is none.
+        X: (3,) the match's point in camera 1, baselines, None for none.
     """
 
     x1: np.ndarray
@@ -60,16 +62,17 @@ class EpipolarView:
     X: np.ndarray | None
 
     def describe(self) -> str:
-        """In words."""
+        """Describe the view in one sentence."""
         words = [
-            f"pixel ({self.x1[0]:.1f}, {self.x1[1]:.1f}) of image 1: {len(self.candidates):,} keypoints near its line"
+            f"pixel ({self.x1[0]:.1f}, {self.x1[1]:.1f}) of image 1: "
+            f"{len(self.candidates):,} keypoints near its line"
         ]
         if self.x2_match is None:
             words.append("no inlying match near the pixel")
         else:
             words.append(
-                f"match {self.match} at ({self.x2_match[0]:.1f}, {self.x2_match[1]:.1f}) of image 2, "
-                f"{self.residual_px:.2f} px from its line"
+                f"match {self.match} at ({self.x2_match[0]:.1f}, {self.x2_match[1]:.1f}) of image "
+                f"2, {self.residual_px:.2f} px from its line"
             )
         if self.X is not None:
             words.append(
@@ -79,12 +82,12 @@ class EpipolarView:
 
 
 class EpipolarExplorer:
-    """Answers pixels of image 1 with epipolar lines, candidates, matches and rays.
+    """Find epipolar lines, candidates, matches and rays of pixels of image 1.
 
     Args:
         result: a reconstruction with a fundamental matrix (general or planar).
-        reach_px: a match counts as the pixel's if it lies at most this far from it.
-        band_px: a keypoint is a candidate if it lies at most this far from the line.
+        reach_px: largest distance of a match from the pixel.
+        band_px: largest distance of a candidate keypoint from the line.
 
     Raises:
         InputError: the reconstruction has no epipolar geometry.
@@ -94,7 +97,8 @@ class EpipolarExplorer:
         view = result.two_view
         if view.F is None:
             raise InputError(
-                f"there are no epipolar lines to explore: the verdict is '{view.verdict}'. {view.reason}"
+                "the reconstruction has no epipolar geometry to explore: the verdict is "
+                f"'{view.verdict}'. {view.reason}"
             )
         self.result, self.F = result, view.F
         self.reach_px, self.band_px = reach_px, band_px
@@ -118,7 +122,7 @@ class EpipolarExplorer:
         self._point_of = {} if cloud is None else {int(m): k for k, m in enumerate(cloud.match)}
 
     def look(self, x1: tuple[float, float] | np.ndarray) -> EpipolarView:
-        """What the pixel x1 = (x, y) of image 1 says.
+        """Find what corresponds to the pixel x1 = (x, y) of image 1.
 
         Raises:
             InputError: not two finite numbers, or a pixel outside image 1.
@@ -129,7 +133,8 @@ class EpipolarExplorer:
             raise InputError(f"a pixel is two finite numbers (x, y), not {x1!r}")
         if not (-0.5 <= pixel[0] <= w - 0.5 and -0.5 <= pixel[1] <= h - 0.5):
             raise InputError(
-                f"pixel ({pixel[0]:g}, {pixel[1]:g}) lies outside image 1, which has {w} x {h} pixels"
+                f"pixel ({pixel[0]:g}, {pixel[1]:g}) lies outside image 1, which has {w} x {h} "
+                "pixels"
             )
         view, corr = self.result.two_view, self.result.correspondences
         ideal = undistort_pixels(torch.from_numpy(pixel)[None], view.camera1)
@@ -163,25 +168,27 @@ class EpipolarExplorer:
         )
 
     def keypoint(self, operator: str, row: int) -> np.ndarray:
-        """(2,) the pixel of an operator's keypoint in image 1.
+        """Return the pixel (2,) of an operator's keypoint in image 1.
 
         Raises:
-            InputError: no such operator or row.
+            InputError: the operator or the row does not exist.
         """
         if operator not in self.result.features:
             raise InputError(
-                f"operator '{operator}' was not used; there are {', '.join(self.result.features)}"
+                f"operator '{operator}' was not used; known: {', '.join(self.result.features)}"
             )
         f1 = self.result.features[operator][0]
         if not 0 <= row < len(f1):
             raise InputError(
-                f"{operator} has {len(f1):,} keypoints in image 1; there is none with number {row}"
+                f"{operator} has {len(f1):,} keypoints in image 1; number {row} does not exist"
             )
         return f1.keypoints[row].astype(np.float64)
 
     def selected(self, entity_path: str, instance: int | None) -> np.ndarray | None:
-        """(2,) the pixel of image 1 behind an entity that was selected in the Rerun viewer; None
-        for all but keypoints."""
+        """Return the pixel (2,) of a keypoint of image 1 selected in the Rerun viewer.
+
+        None for any other entity.
+        """
         found = _KEYPOINT.search(entity_path)
         if found is None or instance is None or found["operator"] not in self.result.features:
             return None

@@ -1,11 +1,10 @@
-"""Two images of a plane, or from one place, to the homography between them, with an account of the
-operators' shares.
+"""Estimate the homography between two images, with per-operator statistics.
 
     >>> result = register("img1.png", "img2.png")
     >>> result.H, result.verdict, result.reason
 
-The homography's counterpart of :func:`sfmkit.reconstruct`; detection, matching and fusion are the
-same.
+The images show a plane, or the camera only rotated. Detection, matching and fusion are those of
+:func:`sfmkit.reconstruct`.
 """
 
 from __future__ import annotations
@@ -40,38 +39,36 @@ from .stages import (
     match_all,
 )
 
-_ROUNDS = 2  # of guided matching at most: the second starts from a better homography
-_SETTLED_PX = 0.5  # a round that moves no corner farther is the last
-_RADIUS = 2.0  # guided matching looks this many thresholds around the predicted position
-_DISTANCE_QUANTILE = (
-    0.9  # descriptor distances up to this quantile of the operator's inliers are accepted
-)
-_WORST_RELATIVE = 1.35  # descriptor distance over its limit at which a match would not count
-_LEAST_SIGMA_PX = 0.1  # no operator localises better
-_LEAST_DISTANCE = 1e-6  # between descriptors that differ; rounding is larger
-_GRID = 8  # cells a side, in which a crowd of matches is thinned by weight
-# a match counts by the number in its cell to the power of minus this: 0 counts each alike, 1 each
-# cell
+_ROUNDS = 2  # maximum, of guided matching: the second starts from a better homography
+_SETTLED_PX = 0.5  # a round that moves every corner by less is the last
+_RADIUS = 2.0  # of guided matching around the predicted position, in thresholds
+# descriptor distances up to this quantile of the operator's inliers are accepted
+_DISTANCE_QUANTILE = 0.9
+_WORST_RELATIVE = 1.35  # descriptor distance over its limit at which the weight would be 0
+_LEAST_SIGMA_PX = 0.1  # lower bound of an operator's localisation error
+_LEAST_DISTANCE = 1e-6  # between different descriptors; rounding is larger
+_GRID = 8  # cells per side; matches in crowded cells get a smaller weight
+# the weight of a match is n^-CROWD for n matches in its cell: with 0 all matches count equally, with
+# 1 all cells
 _CROWD = 0.5
-_LEAST_INLIERS = 10  # of an operator, to know its descriptor distances
+_LEAST_INLIERS = 10  # of an operator, to estimate its descriptor distances
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How image 2 lies on image 1, and what that rests on.
+    """The homography between two images, and the evidence for it.
 
     Attributes:
         H: (3, 3) float64, ``x2 = H x1`` in pixels, ``H[2, 2] = 1``; None for too little evidence.
         inliers: (N,) bool over `correspondences`.
         verdict: planar, or too little evidence.
         reason: the verdict in words.
-        evidence: the numbers that it rests on (:class:`~sfmkit.estimation.planar.PlanarFit`).
+        evidence: the numbers behind it (:class:`~sfmkit.estimation.planar.PlanarFit`).
         correspondences: fused, of the whole images.
-        guided: matched again under the homography; what the final H is fitted to. None where that
-            was not done.
-        account: per operator and for all, what went in and agreed.
+        guided: result of guided matching, to which the final H is fitted; None without it.
+        account: statistics per operator and for all operators.
         timings_s: seconds per stage.
-        warnings: messages about what may be wrong with the input or the result.
+        warnings: messages about possible problems of the input or the result.
     """
 
     H: Tensor | None
@@ -97,21 +94,21 @@ def register(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Registration:
-    """The homography between two images.
+    """Estimate the homography between two images.
 
     Args:
         image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
         operators: names of operators, ``detector+descriptor``, or import paths of plug-ins.
-        matchers: name or import path of the matcher of all operators; or operator -> matcher for
-            some of them; None for those of `options`.
+        matchers: name or import path of the matcher of all operators, or operator -> matcher for
+            some; None for those of `options`.
         options: of detection, matching, fusion and the homography (``planar``).
         device: torch device of detection and matching; None for that of `options`.
         seed: the same seed gives the same result on the same machine.
         progress: called with (stage, detail).
 
     Raises:
-        InputError: images and operators that cannot be used. Images that do not show one plane are
-            not an error: they are the verdict.
+        InputError: invalid images or operators. Images that do not show one plane are not an error
+            but a verdict.
     """
     watch = Stopwatch(progress)
     began = time.perf_counter()
@@ -137,8 +134,7 @@ def register_matches(
     watch: Stopwatch | None = None,
     fused: Correspondences | None = None,
 ) -> Registration:
-    """:func:`register` from the matches on, or from what they were fused to, for those who have
-    them already."""
+    """Run :func:`register` from existing matches, or from existing fused correspondences."""
     watch = watch or Stopwatch()
     planar = options.planar
     with watch.stage("fuse", "matches of all operators"):
@@ -168,14 +164,14 @@ def _guide(
     options: FuseOptions,
     planar: PlanarOptions,
 ) -> tuple[PlanarFit, Correspondences | None]:
-    """The fit improved on matches that were looked for under it, and those matches."""
+    """Improve the fit by guided matching; return it with the guided matches."""
     limits = {}
     for name in corr.operators:
         mine = corr.distance[
             fit.inliers & corr.found_by(name) & (corr.operator_id == corr.operators.index(name))
         ]
         if len(mine) >= _LEAST_INLIERS:
-            # Not 0, where most descriptors are equal: distances are divided by it.
+            # Above 0 even if most descriptors are equal: distances are divided by it.
             limits[name] = max(float(torch.quantile(mine, _DISTANCE_QUANTILE)), _LEAST_DISTANCE)
     if not limits:
         return fit, None
@@ -217,10 +213,10 @@ def _guide(
 def localisation_weights(guided: Correspondences, H: Tensor, relative: Tensor) -> Tensor:
     """Compute the weights of guided matches in the fit of the homography.
 
-    Operators differ in precision: each counts by the inverse square of its median distance to H.
-    Within an operator, positions agree better where descriptors do. Many matches on one detail,
-    which is rarely exactly in the plane, should not decide for the whole image: the more matches in
-    a cell of a grid, the less each counts.
+    Operators differ in precision: the weight is the inverse square of the operator's median
+    distance to H. Within an operator, matches with similar descriptors are more precise. Many
+    matches on one detail, which is rarely exactly in the plane, should not dominate: the weight of
+    a match decreases with the number of matches in its grid cell.
 
     Args:
         guided: N matches.

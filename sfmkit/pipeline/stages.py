@@ -151,8 +151,8 @@ def choose_cameras(
     for number, (cam, image) in enumerate(zip((first, second), images), start=1):
         if cam.size_wh != image.size_wh:
             raise CameraError(
-                f"the camera of image {number} is for {cam.size_wh[0]} x {cam.size_wh[1]} pixels, the "
-                f"image has {image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it was "
+                f"the camera of image {number} is for {cam.size_wh[0]} x {cam.size_wh[1]} pixels, "
+                f"the image has {image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it was "
                 "resized"
             )
     return first, second

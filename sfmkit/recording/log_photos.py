@@ -263,7 +263,7 @@ def _jpeg(rgb: np.ndarray) -> rr.EncodedImage:
 
 
 def _original(image: Image, camera: Camera) -> rr.EncodedImage:
-    """The bytes of the photograph's JPEG file if they need no rotation or undistortion, else PNG."""
+    """Return the JPEG file's bytes if they need no rotation or undistortion, else a PNG."""
     upright = image.exif is None or image.exif.orientation == 1
     if (
         image.path is not None

@@ -51,7 +51,7 @@ def orientation_ticks(keypoints: np.ndarray, scales: np.ndarray, angles: np.ndar
 
 
 def warped_outline(H: np.ndarray, size_wh: tuple[int, int], steps: int = 32) -> np.ndarray | None:
-    """Warp the border of an image by H: (4 steps + 1, 2), None if it crosses the line at infinity."""
+    """Warp an image's border by H: (4 steps + 1, 2); None if it crosses the line at infinity."""
     w, h = size_wh
     corners = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
     border = np.concatenate(

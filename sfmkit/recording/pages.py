@@ -1,6 +1,6 @@
 """A recording of single runs on several pairs of images, side by side: one page per pair.
 
-``case1/worst`` and ``case1/best`` and so on hold one run each, on the timeline ``run``. Homographies
+``case1/worst``, ``case1/best`` and so on hold one run each, on the timeline ``run``. Homographies
 have ``matches`` (as in any recording) and ``image2`` with the outline of image 1 where the truth
 (white) and the estimate (magenta) map it.
 """

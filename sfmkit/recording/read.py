@@ -1,4 +1,4 @@
-"""Reading a recording back: what was logged, as NumPy arrays."""
+"""Read a recording: the logged values as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ from rerun.chunk import Chunk, RrdReader
 
 from ..errors import InputError
 
-# then the version of Rerun that wrote the file: major, minor, patch, and what kind of release
+# followed by the version of Rerun that wrote the file: major, minor, patch, kind of release
 _MAGIC = b"RRF2"
 
 _ROW = "rerun.controls.RowId"  # grows with time
 
 
 class RecordingError(InputError):
-    """A file is not a recording, or not one that can be read here; or it does not hold what was asked
-    for."""
+    """A file is not a readable recording, or does not contain the requested data."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,8 @@ class Logged:
 
     Attributes:
         entity, component: e.g. ``/world/points/operator`` and ``sfmkit:residual_px``.
-        times: timeline -> value (clock times in ns since 1970); empty for what holds at all times.
-        values: an array with a row for each mark, or a list where it is not a plain array (texts,
-            strips of lines).
+        times: timeline -> value (clock times in ns since 1970); empty for static values.
+        values: an array with one row per mark, or a list for other data (texts, line strips).
     """
 
     entity: str
@@ -47,11 +45,11 @@ class Logged:
 
 
 class Recording:
-    """What a file holds. Values are converted when they are asked for.
+    """The contents of a file. Values are converted on access.
 
     Attributes:
         path: of the file.
-        entities: paths of what was logged, sorted; what the viewer keeps for itself is left out.
+        entities: sorted paths of the logged entities, without the viewer's internal ones.
     """
 
     def __init__(self, path: Path, chunks: Mapping[str, list[Chunk]]):
@@ -63,18 +61,17 @@ class Recording:
         return entity in self._chunks
 
     def below(self, entity: str) -> tuple[str, ...]:
-        """The entity's direct children, by name as it was given (``gftt+brief``, not
-        ``gftt\\+brief``)."""
+        """Return the names of the direct children, unescaped (``gftt+brief``)."""
         start = entity.rstrip("/") + "/"
         rest = (e[len(start) :] for e in self.entities if e.startswith(start))
         first_parts = (re.split(r"(?<!\\)/", r, maxsplit=1)[0] for r in rest)
         return tuple(dict.fromkeys(re.sub(r"\\(.)", r"\1", part) for part in first_parts))
 
     def logged(self, entity: str) -> list[Logged]:
-        """Everything logged to an entity, by stage and then in the order of logging.
+        """Return everything logged to an entity, by stage and then in the order of logging.
 
         Raises:
-            RecordingError: no such entity; the message names the nearest.
+            RecordingError: the entity does not exist; the message suggests similar names.
         """
         if entity not in self._chunks:
             near = get_close_matches(entity, self.entities, n=3, cutoff=0.4)
@@ -102,22 +99,22 @@ class Recording:
         return [item for _, _, item in sorted(found, key=lambda f: f[:2])]
 
     def latest(self, entity: str) -> dict[str, np.ndarray | list]:
-        """The last values of all components of an entity."""
+        """Return the last values of all components of an entity."""
         return {item.component: item.values for item in self.logged(entity)}
 
     def text(self, entity: str) -> str:
-        """The last text document of an entity."""
+        """Return the last text document of an entity."""
         return str(self.latest(entity)["TextDocument:text"][0])
 
     def prefixes(self) -> tuple[str, ...]:
-        """Where in the file reconstructions begin: ``""`` where nothing else was asked for."""
+        """Return the path prefixes of the reconstructions in the file; the default is ``""``."""
         return tuple(e.removesuffix("/report") for e in self.entities if e.endswith("/report"))
 
     def report(self, prefix: str = "") -> dict[str, Any]:
-        """The report of a reconstruction.
+        """Return the report of a reconstruction.
 
         Raises:
-            RecordingError: there is none, or it is of another schema.
+            RecordingError: the report does not exist or follows another schema.
         """
         from .log import SCHEMA
 
@@ -135,8 +132,9 @@ class Recording:
         if report.get("schema") != SCHEMA:
             by = report.get("versions", {}).get("sfmkit", "another version")
             raise RecordingError(
-                f"{self.path} follows schema {report.get('schema')} of recordings (sfmkit {by}); this sfmkit reads schema "
-                f"{SCHEMA}: use the sfmkit that wrote it, or write it anew"
+                f"{self.path} follows schema {report.get('schema')} of recordings (sfmkit {by}); "
+                f"this sfmkit reads schema {SCHEMA}: use the sfmkit that wrote it, or write the "
+                "recording again"
             )
         return report
 
@@ -145,33 +143,40 @@ def read_recording(path: str | Path) -> Recording:
     """Open an .rrd file.
 
     Raises:
-        RecordingError: no such file, not a recording, cut off, or written by a newer Rerun.
+        RecordingError: the file does not exist, is not a recording, is truncated, or was written by
+            a newer Rerun.
     """
     path = Path(path)
     written, here = _version(path), rr.__version_info__[:2]
     if written > here:
         raise RecordingError(
-            f"{path} was written by Rerun {_dotted(written)}, this is Rerun {_dotted(here)}: use the environment that wrote it, "
-            f"or install rerun-sdk {_dotted(written)}"
+            f"{path} was written by Rerun {_dotted(written)}, this is Rerun {_dotted(here)}: use "
+            f"the environment that wrote it, or install rerun-sdk {_dotted(written)}"
         )
     chunks: dict[str, list[Chunk]] = {}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # the reader only warns of a missing end
+            warnings.simplefilter("error")  # for a truncated file the reader only warns
             for chunk in RrdReader(path).stream():
                 if not chunk.entity_path.startswith("/__"):
                     chunks.setdefault(chunk.entity_path, []).append(chunk)
     except (RuntimeError, ValueError, Warning) as error:
         if written < here:
-            hint = f"it was written by Rerun {_dotted(written)}, this is {_dotted(here)}; try `rerun rrd migrate {path}`"
+            hint = (
+                f"it was written by Rerun {_dotted(written)}, this is {_dotted(here)}; try "
+                f"`rerun rrd migrate {path}`"
+            )
         else:
-            hint = "it is cut off or damaged: its writing was interrupted, or copying it was; write or fetch it again"
+            hint = (
+                "it is cut off or damaged, perhaps because writing or copying it was interrupted; "
+                "write or fetch it again"
+            )
         raise RecordingError(f"{path} cannot be read: {hint}") from error
     return Recording(path, chunks)
 
 
 def _version(path: Path) -> tuple[int, int]:
-    """The release of Rerun that wrote a file, from its first bytes."""
+    """Read the release of Rerun that wrote a file from its first bytes."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
@@ -187,7 +192,7 @@ def _version(path: Path) -> tuple[int, int]:
         )
     if head[:4] != _MAGIC or len(head) < 8:
         raise RecordingError(
-            f"{path} cannot be read: it is cut off, or of a release of Rerun long ago"
+            f"{path} cannot be read: it is cut off, or an old release of Rerun wrote it"
         )
     return head[4], head[5]
 
@@ -201,8 +206,7 @@ def _integer(time: pa.Scalar) -> int:
 
 
 def _plain(values: pa.Array) -> np.ndarray | list:
-    """Arrow values of one row as (N,) or (N, d) NumPy, or as a list where they are nested
-    otherwise."""
+    """Convert the Arrow values of one row to (N,) or (N, d) NumPy, or to a list if nested."""
     if pa.types.is_fixed_size_list(values.type) and pa.types.is_primitive(values.type.value_type):
         return (
             values.flatten()

@@ -28,8 +28,8 @@ def account_markdown(account: Mapping[str, OperatorAccount]) -> str:
         for name, a in account.items()
     ]
     note = (
-        "*fused*: correspondences of the operator after duplicates were merged. *alone*: points that "
-        "no other operator found. *share*: of the points of the cloud. *loss*: fused "
+        "*fused*: correspondences of the operator after duplicates were merged. *alone*: points "
+        "that no other operator found. *share*: of the points of the cloud. *loss*: fused "
         "correspondences that did not become a point."
     )
     return f"{table(HEAD, rows)}\n\n{note}"

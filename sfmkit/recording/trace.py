@@ -1,5 +1,4 @@
-"""What became of every keypoint and every match: the thread from a 3-D point back to its pixels and
-detectors."""
+"""Trace every keypoint and match through the pipeline, to a 3-D point or to its rejection."""
 
 from __future__ import annotations
 
@@ -29,14 +28,14 @@ UNMATCHED = "unmatched"
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What became of N correspondences.
+    """The outcome of N correspondences.
 
     Attributes:
         fate: (N,) one of the constants of this module.
-        distance_px: (N,) float64 Sampson distance to the epipolar geometry, or transfer error where
-            a homography is the model; NaN where there is neither.
+        distance_px: (N,) float64 Sampson distance to the epipolar geometry, or transfer error if a
+            homography is the model; NaN without a model.
         point: (N,) int64 row of the cloud, -1 for none.
-        operators: (N,) all operators that found it, joined by ``+``.
+        operators: (N,) names of all operators that found it, joined by ``+``.
     """
 
     fate: np.ndarray
@@ -48,10 +47,10 @@ class Trace:
 def trace(
     corr: Correspondences, view: TwoView, cloud: PointCloud | None, threshold_px: float
 ) -> Trace:
-    """Follow every correspondence to its end.
+    """Determine the outcome of every correspondence.
 
     Args:
-        threshold_px: what made an inlier; tells the two kinds of outliers apart.
+        threshold_px: largest distance of an inlier; separates the two kinds of outliers.
     """
     x1, x2 = undistorted_pixels(corr, view.camera1, view.camera2)
     n = len(corr)
@@ -82,8 +81,7 @@ def trace(
 
 
 def joined_names(mask: np.ndarray, operators: tuple[str, ...]) -> np.ndarray:
-    """The names of the operators of each bit mask, e.g. ``surf+orb``; masks (N,) int64 -> (N,)
-    str."""
+    """Convert bit masks (N,) int64 to joined names of operators (N,) str, e.g. ``surf+orb``."""
     values, inverse = np.unique(mask, return_inverse=True)
     names = [
         "+".join(name for k, name in enumerate(operators) if value >> k & 1)
@@ -97,13 +95,12 @@ def matches_to_rows(
     matches: Mapping[str, Matches],
     corr: Correspondences,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Per operator, where its matches went in the fusion.
+    """Find the fused correspondence of every match, per operator.
 
     Returns:
-        For each operator ``(rows, merged)``: (M,) int64 the correspondence that carries a match,
-        and (M,) bool whether it was merged into that one instead of being it. A merged match is
-        carried by the nearest correspondence, in both images together, that its operator has a part
-        in.
+        For each operator ``(rows, merged)``: (M,) int64 the correspondence of a match, and (M,)
+        bool whether the match was merged into it as a duplicate. The correspondence of a merged
+        match is the nearest one, in both images together, that its operator also found.
     """
     operator_id, mask = corr.operator_id.numpy(), corr.operator_mask.numpy()
     index1, index2 = corr.index1.numpy(), corr.index2.numpy()
@@ -134,8 +131,13 @@ def matches_to_rows(
 
 @dataclass(frozen=True, eq=False)
 class KeypointTrace:
-    """What became of an operator's N keypoints in one image: ``fate`` (N,) str, and the rows of the
-    correspondence ``match`` and of the cloud's ``point`` (N,) int64, -1 for none."""
+    """The outcome of an operator's N keypoints in one image.
+
+    Attributes:
+        fate: (N,) str.
+        match: (N,) int64 row of the correspondence, -1 for none.
+        point: (N,) int64 row of the cloud, -1 for none.
+    """
 
     fate: np.ndarray
     match: np.ndarray
@@ -148,7 +150,7 @@ def trace_keypoints(
     corr: Correspondences,
     traced: Trace,
 ) -> dict[str, tuple[KeypointTrace, KeypointTrace]]:
-    """What became of every keypoint of every operator, in both images."""
+    """Determine the outcome of every keypoint of every operator, in both images."""
     became = {}
     for name, (rows, merged) in matches_to_rows(features, matches, corr).items():
         m = matches[name]

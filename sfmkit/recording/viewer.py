@@ -1,5 +1,7 @@
-"""The Rerun viewer as a process: in a window, or served to a browser. It listens on the loopback
-interface only."""
+"""Run the Rerun viewer as a process: in a window, or served to a browser.
+
+It listens on the loopback interface only.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,13 @@ class ViewerError(SfmError):
 
 @dataclass(frozen=True)
 class Server:
-    """A served recording: open `url` in a browser. The page comes from `web_port`, its data from
-    `data_port`."""
+    """A served recording.
+
+    Attributes:
+        url: to open in a browser.
+        web_port, data_port: ports of the page and of its data.
+        process: of the server.
+    """
 
     url: str
     web_port: int
@@ -42,11 +49,11 @@ class Server:
 
 
 def open_window(path: str | Path) -> None:
-    """Show a recording in a window, and come back when it is closed.
+    """Show a recording in a window, and return when it is closed.
 
     Raises:
         RecordingError: the file cannot be read.
-        ViewerError: there is no display, or the viewer failed.
+        ViewerError: no display is available, or the viewer failed.
     """
     read_recording(path)
     if sys.platform.startswith("linux") and not (
@@ -70,11 +77,11 @@ def open_window(path: str | Path) -> None:
 
 @contextmanager
 def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
-    """Serve a recording and the viewer's page on free ports until the block is left.
+    """Serve a recording and the viewer's page on free ports until the block ends.
 
     Raises:
         RecordingError: the file cannot be read.
-        ViewerError: the server did not come up.
+        ViewerError: the server did not start.
     """
     read_recording(path)
     web, data = free_ports(2)
@@ -89,7 +96,7 @@ def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
         deadline = time.monotonic() + timeout_s
         while not (listens(web) and listens(data)):
             if process.poll() is not None or time.monotonic() > deadline:
-                raise ViewerError(f"the viewer's server did not come up within {timeout_s:.0f} s")
+                raise ViewerError(f"the viewer's server did not start within {timeout_s:.0f} s")
             time.sleep(0.05)
         source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         yield Server(f"http://{HOST}:{web}/?url={source}", web, data, process)
@@ -98,6 +105,7 @@ def serve(path: str | Path, timeout_s: float = 30) -> Iterator[Server]:
 
 
 def free_ports(n: int) -> list[int]:
+    """Find n different free ports of the loopback interface."""
     sockets = [socket.socket() for _ in range(n)]
     try:
         for s in sockets:
@@ -109,6 +117,7 @@ def free_ports(n: int) -> list[int]:
 
 
 def listens(port: int) -> bool:
+    """Return whether a server accepts connections at a port of the loopback interface."""
     try:
         socket.create_connection((HOST, port), 0.5).close()
     except OSError:

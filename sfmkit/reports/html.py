@@ -1,4 +1,4 @@
-"""``sfmkit report``: all benchmarks of a folder on one page."""
+"""``sfmkit report``: show all benchmarks of a folder on one page."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from .result import FILE, Result, ResultTable, read_result
 PAGE = "report.html"
 _ORDER = ("oxford", "fountain", "uav")  # as in the paper; others follow by name
 _INTRO = (
-    "Two-view structure from motion with several feature operators: the experiments of Dippold & Tsai (Two-View "
-    "Structure-from-Motion with Multiple Feature Detector Operators), rerun. The paper's own values stand in the coloured "
-    "columns, beside ours.",
+    "Two-view structure from motion with several feature operators: the experiments of Dippold & "
+    "Tsai (Two-View Structure-from-Motion with Multiple Feature Detector Operators), repeated. The "
+    "coloured columns contain the paper's own values, beside ours.",
 )
 
 
 def find_results(folder: str | os.PathLike) -> list[Path]:
-    """The folders directly below `folder` that hold a result, or `folder` itself, in the order of
-    the page.
+    """Find the results in `folder` and directly below it, in the order of the page.
 
     Raises:
-        InputError: there is no such folder, or none in it.
+        InputError: the folder does not exist or contains no result.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -35,8 +34,8 @@ def find_results(folder: str | os.PathLike) -> list[Path]:
     found = [path.parent for path in (folder / FILE, *folder.glob(f"*/{FILE}")) if path.is_file()]
     if not found:
         raise InputError(
-            f"{folder} holds no results (no {FILE} in it or in a folder below); run `sfmkit bench oxford`, `fountain` or "
-            "`uav` first, with --out in that folder"
+            f"{folder} holds no results (no {FILE} in it or in a folder below); run "
+            "`sfmkit bench oxford`, `fountain` or `uav` first, with --out in that folder"
         )
     return sorted(
         found, key=lambda f: (_ORDER.index(f.name) if f.name in _ORDER else len(_ORDER), f.name)
@@ -67,19 +66,18 @@ def write_report(folder: str | os.PathLike, out: str | os.PathLike | None = None
 
 
 def section(result: Result, folder: Path) -> str:
-    """A benchmark's part of the page: how to make it again, its tables and figures, and its
-    circumstances."""
+    """Make the section of a benchmark: command, tables, figures and circumstances."""
     parts = [page.code(result.command), page.paragraphs(result.notes)]
     parts += [table_html(table) for table in result.tables]
     parts += [
         page.figure(figure.title, folder / figure.file, figure.alt) for figure in result.figures
     ]
-    parts += [page.heading("Made on and with"), page.facts(circumstances(result))]
+    parts += [page.heading("Machine and versions"), page.facts(circumstances(result))]
     return "".join(parts)
 
 
 def table_html(table: ResultTable) -> str:
-    """A result's table as HTML."""
+    """Convert a result's table to HTML."""
     return page.table(
         table.title,
         [column.name for column in table.columns],
@@ -91,7 +89,7 @@ def table_html(table: ResultTable) -> str:
 
 
 def circumstances(result: Result) -> Sequence[tuple[str, str]]:
-    """Machine, versions and seeds as terms and texts."""
+    """Return machine, versions and seeds as pairs of term and text."""
     seeds = ", ".join(map(str, result.seeds)) or "none"
     versions = ", ".join(f"{name} {number}" for name, number in result.versions.items())
     return [*result.machine.items(), ("versions", versions), ("seeds", seeds)]

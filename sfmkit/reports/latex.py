@@ -32,14 +32,15 @@ _SPECIAL = {
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX sets it, whatever characters it holds. Needs ``\\usepackage[T1]{fontenc}`` and
-    ``textcomp``."""
+    """Escape the special characters of LaTeX.
+
+    The document needs the packages ``fontenc`` with the option T1, and ``textcomp``.
+    """
     return "".join(_SPECIAL.get(c, c) for c in " ".join(text.split()))
 
 
 def latex_table(table: ResultTable) -> str:
-    """A ``table`` environment with caption and label; ``\\usepackage{booktabs}`` in the
-    preamble."""
+    """Make a ``table`` environment with caption and label; it needs the package booktabs."""
 
     def line(cells: list[str]) -> str:
         return "  " + " & ".join(escape(cell) for cell in cells) + r" \\"

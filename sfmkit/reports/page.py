@@ -1,8 +1,8 @@
-"""One self-contained HTML page: sections of text, tables and figures, legible on a phone, in light
-and in dark.
+"""Build one self-contained HTML page of text, tables and figures.
 
-Every function takes plain text and gives HTML in which that text is escaped; pictures go in as data
-URIs, so that the page can be mailed, and viewed without a network.
+Every function takes plain text and returns HTML in which that text is escaped. Pictures are
+embedded as data URIs, so the page can be mailed and viewed without a network. It adapts to narrow
+screens and to the light and dark colour schemes.
 """
 
 from __future__ import annotations
@@ -19,34 +19,39 @@ from ..errors import InputError
 PNG = b"\x89PNG\r\n\x1a\n"
 
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1c1e21; --soft: #5c6370; --paper: #fff; --line: #d8dce2; --band: #f5f6f8;
-  --mark: rgb(255 196 0 / .14); --shade: rgb(0 0 0 / .28);
-  --link: #0b5cad; }
+:root { color-scheme: light dark; --ink: #1c1e21; --soft: #5c6370; --paper: #fff; --line: #d8dce2;
+  --band: #f5f6f8; --mark: rgb(255 196 0 / .14); --shade: rgb(0 0 0 / .28); --link: #0b5cad; }
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e4e6ea; --soft: #a0a7b4; --paper: #16181c; --line: #363b44; --band: #1f2228;
     --mark: rgb(255 196 0 / .13); --shade: rgb(0 0 0 / .8); --link: #7db7f0; }
 }
 * { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
+body { margin: 0; background: var(--paper); color: var(--ink);
+  font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 76rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.6rem; line-height: 1.2; margin: .5rem 0; }
-h2 { font-size: 1.25rem; line-height: 1.25; margin: 2.5rem 0 .5rem; padding-top: .5rem; border-top: 2px solid var(--line); }
+h2 { font-size: 1.25rem; line-height: 1.25; margin: 2.5rem 0 .5rem; padding-top: .5rem;
+  border-top: 2px solid var(--line); }
 h3 { font-size: 1rem; margin: 1.5rem 0 .4rem; }
 p, ul, dl { max-width: 46rem; margin: .5rem 0; }
 a { color: var(--link); }
 nav ul { padding-left: 1.2rem; }
 code, pre { font: .85rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; }
 code { overflow-wrap: anywhere; }
-pre { background: var(--band); padding: .6rem .8rem; overflow-x: auto; border-radius: 4px; max-width: 100%; }
+pre { background: var(--band); padding: .6rem .8rem; overflow-x: auto; border-radius: 4px;
+  max-width: 100%; }
 .note { color: var(--soft); font-size: .9rem; }
-/* The shadows at the sides lie below covers that scroll away with the table: they show where there is more. */
-.wide { overflow-x: auto; max-width: 100%; border: 1px solid var(--line); border-radius: 4px; background:
-  linear-gradient(to right, var(--paper) 40%, transparent) 0 0 / 3rem 100% no-repeat local,
+/* A shadow at a side shows that the table continues there: at the table's end, a cover that scrolls
+   with the table hides it. */
+.wide { overflow-x: auto; max-width: 100%; border: 1px solid var(--line); border-radius: 4px;
+  background: linear-gradient(to right, var(--paper) 40%, transparent) 0 0 / 3rem 100% no-repeat local,
   linear-gradient(to left, var(--paper) 40%, transparent) 100% 0 / 3rem 100% no-repeat local,
   linear-gradient(to right, var(--shade), transparent) 0 0 / 1rem 100% no-repeat scroll,
   linear-gradient(to left, var(--shade), transparent) 100% 0 / 1rem 100% no-repeat scroll; }
-table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; min-width: 100%; }
-th, td { padding: .28rem .6rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums;
+  min-width: 100%; }
+th, td { padding: .28rem .6rem; text-align: left; vertical-align: top;
+  border-bottom: 1px solid var(--line); }
 th { font-weight: 600; vertical-align: bottom; }
 th.right, td.right { text-align: right; }
 td { white-space: nowrap; }
@@ -55,14 +60,15 @@ thead { background: rgb(128 136 150 / .1); }
 th.paper, td.paper { background: var(--mark); }
 tbody tr:last-child td { border-bottom: 0; }
 figure { margin: 1rem 0; }
-figure img { display: block; max-width: 100%; height: auto; background: #fff; border: 1px solid var(--line); border-radius: 4px; }
+figure img { display: block; max-width: 100%; height: auto; background: #fff;
+  border: 1px solid var(--line); border-radius: 4px; }
 figcaption { color: var(--soft); font-size: .9rem; margin-top: .3rem; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .1rem .8rem; font-size: .9rem; }
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 @media (max-width: 30rem) { dl { grid-template-columns: 1fr; } dd { margin-bottom: .4rem; } }
 @media print { .wide { overflow: visible; border: 0; } }
 """
-_LONG = 44  # characters from which a cell may be broken into lines
+_LONG = 44  # characters; a longer cell may be broken into lines
 
 
 def page(
@@ -73,13 +79,12 @@ def page(
     style: str = "",
     script: str = "",
 ) -> str:
-    """The whole page.
+    """Build the whole page.
 
     Args:
-        title, intro: its head and paragraphs, plain text.
-        sections: (heading, HTML made by the functions below); with two or more there is a table of
-            contents.
-        style, script: CSS and JavaScript of one's own; no other script can run.
+        title, intro: its heading and first paragraphs, plain text.
+        sections: (heading, HTML made by the functions below); two or more get a table of contents.
+        style, script: additional CSS and JavaScript; no other script can run.
     """
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     scripts = f"; script-src 'sha256-{digest}'" if script else ""
@@ -94,8 +99,9 @@ def page(
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        # Nothing may be fetched or run, whatever the results hold.
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+        # Nothing may be fetched or run, whatever the results contain.
+        '<meta http-equiv="Content-Security-Policy" content="'
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         f'{scripts}">'
         f"<title>{escape(title)}</title><style>{_STYLE}{style}</style></head><body><main>"
         f"<h1>{escape(title)}</h1>{paragraphs(intro)}"
@@ -105,7 +111,7 @@ def page(
 
 
 def _anchors(headings: Iterable[str]) -> list[str]:
-    """A different fragment identifier for each heading."""
+    """Make a unique fragment identifier for each heading."""
     made: list[str] = []
     for heading in headings:
         base = anchor = re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
@@ -118,23 +124,23 @@ def _anchors(headings: Iterable[str]) -> list[str]:
 
 
 def paragraphs(texts: Sequence[str], kind: str = "") -> str:
-    """Paragraphs of plain text; `kind` ``note`` sets them smaller."""
+    """Wrap plain text in paragraphs; the kind ``note`` has a smaller font."""
     mark = f' class="{escape(kind)}"' if kind else ""
     return "".join(f"<p{mark}>{escape(text)}</p>" for text in texts)
 
 
 def heading(text: str) -> str:
-    """A heading below a section's."""
+    """Make a heading one level below that of a section."""
     return f"<h3>{escape(text)}</h3>"
 
 
 def code(text: str) -> str:
-    """Something to type."""
+    """Show a command to type."""
     return f"<pre><code>{escape(text)}</code></pre>"
 
 
 def facts(pairs: Iterable[tuple[str, str]]) -> str:
-    """Terms and what is to say of them."""
+    """Make a list of terms with their descriptions."""
     return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in pairs) + "</dl>"
 
 
@@ -147,12 +153,12 @@ def table(
     marked: Sequence[bool] = (),
     note: str = "",
 ) -> str:
-    """A table in a box of its own that scrolls sideways where the page is too narrow.
+    """Make a table in a box that scrolls horizontally on a narrow page.
 
     Args:
         head, rows: plain text.
-        right: columns that are set to the right.
-        marked: columns that are set off, the paper's.
+        right: columns that are right-aligned.
+        marked: columns that are highlighted, the paper's.
     """
 
     def cell(tag: str, column: int, text: str) -> str:
@@ -173,17 +179,19 @@ def table(
         for row in rows
     )
     return (
-        f'{heading(title)}<div class="wide" tabindex="0" role="region" aria-label="{escape(title)}"><table><thead><tr>'
+        f'{heading(title)}<div class="wide" tabindex="0" role="region" '
+        f'aria-label="{escape(title)}"><table><thead><tr>'
         + "".join(cell("th", k, text) for k, text in enumerate(head))
-        + f"</tr></thead><tbody>{lines}</tbody></table></div>{paragraphs([note] if note else [], 'note')}"
+        + f"</tr></thead><tbody>{lines}</tbody></table></div>"
+        + paragraphs([note] if note else [], "note")
     )
 
 
 def figure(title: str, path: Path, alt: str) -> str:
-    """A PNG file as a figure with its title below, the file's bytes in the page.
+    """Embed a PNG file as a figure, with its title below.
 
     Raises:
-        InputError: there is no such file, or it is not a PNG file.
+        InputError: the file does not exist or is not a PNG file.
     """
     try:
         data = path.read_bytes()

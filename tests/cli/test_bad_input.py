@@ -36,8 +36,9 @@ def small_pair(tmp_path_factory) -> tuple[Path, Path, str]:
         small = cv2.resize(cv2.imread(str(path)), (480, round(h * s)), interpolation=cv2.INTER_AREA)
         paths.append(folder / f"{number}.png")
         cv2.imwrite(str(paths[-1]), small)
-    text = f"{K_full[0][0] * s},{K_full[1][1] * s},{(K_full[0][2] + 0.5) * s - 0.5},{(K_full[1][2] + 0.5) * s - 0.5}"
-    return paths[0], paths[1], text
+    focal = f"{K_full[0][0] * s},{K_full[1][1] * s}"
+    centre = f"{(K_full[0][2] + 0.5) * s - 0.5},{(K_full[1][2] + 0.5) * s - 0.5}"
+    return paths[0], paths[1], f"{focal},{centre}"
 
 
 def run(*arguments, out: Path, operators="orb,fast-brief", extra=()):

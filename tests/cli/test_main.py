@@ -120,9 +120,15 @@ def seconds(*command: str) -> float:
 
 
 def test_import_and_help_do_not_load_the_heavy_libraries():
-    heavy = "import sys; assert not {'torch', 'cv2', 'kornia', 'rerun', 'matplotlib', 'scipy', 'numpy'} & set(sys.modules), sorted(sys.modules)"
+    heavy = (
+        "import sys; loaded = {'torch', 'cv2', 'kornia', 'rerun', 'matplotlib', 'scipy', 'numpy'} "
+        "& set(sys.modules); assert not loaded, sorted(loaded)"
+    )
     subprocess.run([sys.executable, "-c", f"import sfmkit; {heavy}"], check=True)
-    code = f"import sfmkit.cli.main; from click.testing import CliRunner; CliRunner().invoke(sfmkit.cli.main, ['--help']); {heavy}"
+    code = (
+        "import sfmkit.cli.main; from click.testing import CliRunner; "
+        f"CliRunner().invoke(sfmkit.cli.main, ['--help']); {heavy}"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -178,7 +178,8 @@ def test_the_command(made_up, tmp_path):
     assert "Table 6" in done.output
     result = read_result(tmp_path)
     assert result.command.endswith(
-        "fountain --pairs 0000-0001 --operators orb --presets default --seeds 1 --max-size 200 --scenes ''"
+        "fountain --pairs 0000-0001 --operators orb --presets default --seeds 1 --max-size 200 "
+        "--scenes ''"
     )
 
 

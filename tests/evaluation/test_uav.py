@@ -224,7 +224,8 @@ def test_bad_settings(made_up, tmp_path):
         bench_uav(tmp_path, data=tmp_path / "none")
     empty = tmp_path / "empty.ply"
     empty.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+        "ply\nformat ascii 1.0\nelement vertex 0\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
     )
     with pytest.raises(InputError, match="holds no vertices"):
         bench_uav(tmp_path, data=made_up, clouds=[empty])

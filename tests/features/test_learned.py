@@ -21,7 +21,7 @@ NAMES = list(LEARNED)
 
 @pytest.fixture(scope="module")
 def photo(demo_images):
-    """(256, 320, 3) RGB, part of the bundled photograph; its sides are multiples of every stride."""
+    """Part of the bundled photograph, (256, 320, 3); its sides are multiples of every stride."""
     return np.ascontiguousarray(read_image(demo_images[0]).rgb[200:456, 300:620])
 
 

@@ -175,7 +175,10 @@ def test_second_derivatives_at_a_minimum_are_those_of_finite_differences(name):
 ONE_GRADIENT = {
     "refine_essential": "refine_essential(s.R, s.t, x1, s.x2, s.K1, s.K2).t",
     "bundle_adjust": "bundle_adjust(x1, s.x2, s.K1, s.K2, s.R, s.t).t",
-    "refine_homography": "refine_homography(homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2), x1, s.x2)",
+    "refine_homography": (
+        "refine_homography("
+        "homography_from_pose(s.R, s.t, s.normal, s.distance, s.K1, s.K2), x1, s.x2)"
+    ),
 }
 
 

@@ -1,4 +1,4 @@
-"""The notebooks in JupyterLab in a browser, without a network: run, click, and measure the screen."""
+"""The notebooks in JupyterLab in a browser, without a network: run, click, measure the screen."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bundled(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """(address, token, folder) of `sfmkit lab` on a copy of the notebooks, without user settings."""
+    """Address, token and folder of `sfmkit lab` on a copy of the notebooks; no user settings."""
     home = tmp_path_factory.mktemp("lab")
     folder = Path(shutil.copytree(NOTEBOOKS, home / "notebooks"))
     mine = {

@@ -114,7 +114,7 @@ def test_bad_keypoints_are_bad_input(result):
     explorer = EpipolarExplorer(result)
     with pytest.raises(InputError, match="was not used"):
         explorer.keypoint("sift", 0)
-    with pytest.raises(InputError, match="none with number"):
+    with pytest.raises(InputError, match="does not exist"):
         explorer.keypoint("orb", 10**6)
 
 

@@ -1,4 +1,4 @@
-"""Answers about a recording, against the arrays it was made from; and files that are not valid recordings."""
+"""Answers about a recording against the arrays it was made from, and invalid recordings."""
 
 from __future__ import annotations
 

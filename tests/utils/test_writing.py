@@ -177,7 +177,8 @@ disk = Path(sys.argv[1])
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk], check=True)
 (disk / "o").mkdir()
 (disk / "o" / "old").write_text("old")
-for manager, name in ((staged_folder(disk / "o", overwrite=True), "x"), (atomic_write(disk / "x"), "")):
+managers = ((staged_folder(disk / "o", overwrite=True), "x"), (atomic_write(disk / "x"), ""))
+for manager, name in managers:
     try:
         with manager as path:
             (path / name).write_bytes(bytes(1 << 20))

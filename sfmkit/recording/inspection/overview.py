@@ -28,7 +28,7 @@ def describe_recording(path: str | Path) -> str:
             *told,
             "\n".join(
                 [
-                    f"{len(recording.entities)} entities (--entity PATH lists their contents), below",
+                    f"{len(recording.entities)} entities (list one with --entity PATH), below",
                     *children,
                 ]
             ),
@@ -58,9 +58,8 @@ def _describe_reconstruction(recording: Recording, prefix: str) -> str:
             3,
             (
                 "error",
-                "rotation {rotation_deg:.3f}, translation direction {translation_deg:.3f} deg".format(
-                    **report["errors"]
-                ),
+                "rotation {rotation_deg:.3f}, "
+                "translation direction {translation_deg:.3f} deg".format(**report["errors"]),
             ),
         )
     rows += [("warning", w) for w in report["warnings"]]

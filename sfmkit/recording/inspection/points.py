@@ -86,12 +86,14 @@ class PointOrigin:
             ("image 2", f"pixel {pixel_words(self.x2)}"),
             (
                 "match",
-                f"{self.match:,}: descriptor distance {self.descriptor_distance:.4g}, {ratio_words(self.descriptor_ratio)}"
+                f"{self.match:,}: descriptor distance {self.descriptor_distance:.4g}, "
+                f"{ratio_words(self.descriptor_ratio)}"
                 f"{self.distance_px:.3f} px from the epipolar geometry",
             ),
             (
                 "residual",
-                f"{self.residual_px:.3f} px; {self.residual_rank:.0%} of the points have a larger one",
+                f"{self.residual_px:.3f} px; {self.residual_rank:.0%} of the points have a larger "
+                "one",
             ),
             ("parallax", f"{self.parallax_deg:.2f} deg between the two rays"),
         ]
@@ -99,7 +101,8 @@ class PointOrigin:
             rows.append(
                 (
                     "uncertainty",
-                    f"{self.sigma:.4g} baselines along the worst direction, {self.sigma / depth:.2%} of the depth",
+                    f"{self.sigma:.4g} baselines along the worst direction, "
+                    f"{self.sigma / depth:.2%} of the depth",
                 )
             )
         for s in self.sightings:
@@ -107,8 +110,8 @@ class PointOrigin:
             rows.append(
                 (
                     f"keypoint {s.keypoint:,}",
-                    f"{s.operator}, image {s.image}, pixel {pixel_words(s.pixel)}, scale {s.scale_px:.1f} px, "
-                    f"orientation {s.angle_deg:.0f} deg{merged}",
+                    f"{s.operator}, image {s.image}, pixel {pixel_words(s.pixel)}, "
+                    f"scale {s.scale_px:.1f} px, orientation {s.angle_deg:.0f} deg{merged}",
                 )
             )
         return f"point {self.point:,} of {self.total:,}\n{facts(rows)}"

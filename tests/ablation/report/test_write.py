@@ -179,7 +179,8 @@ def test_all_data_sets_are_ranked_together(rows):
 
 def test_latex_is_escaped():
     assert escape("a_b & 5% {x} ~ ^ \\ #1 $2 <3>") == (
-        r"a\_b \& 5\% \{x\} \textasciitilde{} \textasciicircum{} \textbackslash{} \#1 \$2 \textless{}3\textgreater{}"
+        r"a\_b \& 5\% \{x\} \textasciitilde{} \textasciicircum{} \textbackslash{} \#1 \$2 "
+        r"\textless{}3\textgreater{}"
     )
     t = ResultTable(
         "a-b",
