@@ -30,7 +30,7 @@ def diff_recordings(a: str | Path, b: str | Path, prefix: str = "") -> str:
         )
     rows = [("", str(before.path), str(after.path))]
     for label, value in (
-        ("preset", lambda r: r["preset"]),
+        ("preset", lambda r: r["options"]["name"]),
         ("seed", lambda r: r["seed"]),
         (
             "focal lengths",

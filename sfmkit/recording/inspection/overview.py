@@ -48,7 +48,7 @@ def _describe_reconstruction(recording: Recording, prefix: str) -> str:
         ),
         (
             "made with",
-            f"preset {report['preset']}, seed {report['seed']}, "
+            f"preset {report['options']['name']}, seed {report['seed']}, "
             + ", ".join(f"{k} {v}" for k, v in report["versions"].items()),
         ),
         ("time", ", ".join(f"{k} {v:.2f} s" for k, v in report["timings_s"].items())),
