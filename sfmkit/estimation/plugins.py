@@ -72,7 +72,7 @@ ESTIMATOR_PLUGINS.register("pycolmap", peers.estimate_pycolmap)
 
 
 def register_estimator(name: str, estimator: F) -> F:
-    """Make a robust estimator available under a name everywhere that back ends are named.
+    """Register a robust estimator under a name, for this process.
 
     Args:
         name: What the estimator is called in ``EstimateOptions.backend``, ``--backend``, reports.

@@ -1,4 +1,4 @@
-"""Correspondences -> TwoView: a robust fit, its refinement, the pose, and the verdict."""
+"""Correspondences -> TwoView: robust fit, refinement, pose and verdict."""
 
 from __future__ import annotations
 
@@ -33,9 +33,16 @@ from .plugins import run_estimator
 from .result import RobustModel, supported
 from .verdict import MIN_MATCHES, assess
 
-# Samples of the search for a competing plane: one that holds a quarter of the matches is missed
-# with a probability of (1 - 0.25^4)^2000 = 0.0004.
+# Samples of the search for a competing plane. A plane that contains a quarter of the matches is
+# missed with a probability of (1 - 0.25^4)^2000 = 0.0004.
 PLANE_ITERATIONS = 2_000
+# Poses of a plane. Not all inliers need to lie in front of both cameras, because some of them are
+# wrong matches. Poses whose rotations and translation directions together differ by less are one
+# minimum. A cost above the ratio to the best one is evidence against a pose. The three values are
+# choices, not measurements.
+_LEAST_SHARE_IN_FRONT = 0.9
+_SAME_POSE_DEG = 0.5
+_COST_RATIO = 1.2
 
 
 def undistorted_pixels(
@@ -50,8 +57,8 @@ def undistorted_pixels(
 def within_the_field(corr: Correspondences, camera1: Camera, camera2: Camera) -> Correspondences:
     """Drop the correspondences outside the field that a camera's distortion describes.
 
-    A distortion polynomial folds the image back beyond some radius; a point beyond it belongs to no
-    ray. A warning counts the dropped ones.
+    A distortion polynomial folds the image back beyond some radius; a point beyond it does not
+    correspond to a ray. A warning states how many were dropped.
     """
     valid = torch.ones(len(corr), dtype=torch.bool)
     for x, camera in ((corr.x1, camera1), (corr.x2, camera2)):
@@ -82,12 +89,15 @@ def estimate_two_view(
 
     Args:
         corr: N correspondences in pixels of the photographs.
-        options: model, back end and threshold.
-        device: for estimators that take one.
+        camera1, camera2: Cameras of the photographs.
+        options: Model, back end and threshold.
+        seed: The same seed gives the same result on the same machine.
+        device: Torch device, for estimators with such a parameter.
 
     Returns:
-        A :class:`TwoView`. Too few matches, or matches that agree no better than chance, are the
-        verdict ``TOO_LITTLE`` without a pose; a pure rotation has R but no t.
+        A :class:`TwoView`. The verdict ``TOO_LITTLE``, without a pose, is returned for too few
+        matches, for matches that agree no better than chance, and for mirrored photographs; a
+        pure rotation has R but no t.
     """
     options = options or EstimateOptions()
     n = len(corr)
@@ -100,7 +110,7 @@ def estimate_two_view(
     x1, x2 = undistorted_pixels(corr, camera1, camera2)
     (K1, _), (K2, _) = camera1.tensors(), camera2.tensors()
     fit = robust_fit(x1, x2, K1, K2, corr, options, seed, device)
-    # Duplicates of a few matches must not count as many: log10_nfa counts matches.
+    # log10_nfa counts matches, so duplicates of a few matches must not count as many.
     fit = supported(fit, x1, x2, MIN_MATCHES, options.threshold_px)
     if fit.model is None:
         reason = (
@@ -169,7 +179,7 @@ class Pose:
     Attributes:
         R, t: (3, 3) and (3,), t of unit length.
         E, F: (3, 3) essential and fundamental matrix.
-        inliers: (N,) bool, agreement with F.
+        inliers: (N,) bool, the matches that agree with F.
     """
 
     R: Tensor
@@ -182,13 +192,13 @@ class Pose:
 def pose_from_fit(
     fit: RobustModel, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, options: EstimateOptions
 ) -> Pose:
-    """Get the pose from a robustly estimated E or F, refined where the options say so.
+    """Compute the pose of a robustly estimated E or F, and refine it if the options say so.
 
-    Without refinement, a fitted F and its inliers stay as they are (the paper's procedure), and E
-    is derived from F although F then has another epipolar geometry than E.
+    Without refinement, a fitted F and its inliers are kept unchanged (the paper's procedure). E is
+    derived from F by projection, so its epipolar geometry then differs from that of F.
 
     Args:
-        fit: With a model.
+        fit: The robust fit; its model must not be None.
         x1, x2: (N, 2) undistorted pixels.
     """
     assert fit.model is not None
@@ -215,7 +225,10 @@ def _pose(
 def _refined(
     pose: Pose, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, threshold_px: float
 ) -> Pose:
-    """The pose refined on its inliers, to compare with a plane: a rough F would lose to it."""
+    """Refine the pose on its inliers before a plane is compared with it.
+
+    An unrefined F has larger residuals than a plane fitted to the same matches.
+    """
     R, t = refine_essential(pose.R, pose.t, x1[pose.inliers], x2[pose.inliers], K1, K2).pose
     return _pose(R, t, x1, x2, K1, K2, threshold_px)
 
@@ -243,12 +256,21 @@ def planar_poses(
     inliers: Tensor,
     threshold_px: float,
 ) -> list[tuple[Tensor, Tensor]]:
-    """The poses under which the matches of a plane can have been seen, the best supported first.
+    """Find the poses that explain the matches of a plane, the best supported first.
 
-    A homography decomposes into four poses, of which the plane lies in front of both cameras for
-    one or two. They explain the plane alike; what lies off the plane, if anything, tells them
-    apart, so each is refined on all inliers and they are ordered by their truncated squared Sampson
-    distance. `start`, from the essential matrix, competes too.
+    A homography decomposes into four poses; for one or two of them the plane lies in front of both
+    cameras. These explain the plane equally well and differ only in points off the plane, so each
+    is refined on all inliers, and they are ordered by the truncated squared Sampson distance.
+
+    Args:
+        H: (3, 3) homography of the plane, pixels.
+        start: Pose from the essential matrix, a further candidate.
+        x1, x2: (N, 2) undistorted pixels.
+        inliers: (N,) bool, of the plane or of `start`.
+        threshold_px: Limit of the truncated distance.
+
+    Returns:
+        (R, t) of every candidate whose cost is close to the smallest one; `start` if none is left.
     """
     xn1, xn2 = normalize(x1, K1), normalize(x2, K2)
     Rs, ts, _ = decompose_homography(H, K1, K2)
@@ -262,18 +284,19 @@ def planar_poses(
     ]
     seen: list[tuple[float, Tensor, Tensor]] = []
     for R, t in candidates:
-        if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < 0.9:
+        if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < _LEAST_SHARE_IN_FRONT:
             continue
         R, t = refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose
         e = signed_sampson_distance(fundamental_from_pose(R, t, K1, K2), x1, x2)
         cost = float(e.square().clamp(max=threshold_px**2).sum())
-        if all(float(rotation_error(R, Q) + translation_error(t, u)) > 0.5 for _, Q, u in seen):
+        distances = [float(rotation_error(R, Q) + translation_error(t, u)) for _, Q, u in seen]
+        if all(distance > _SAME_POSE_DEG for distance in distances):
             seen.append((cost, R, t))
     best = min((cost for cost, _, _ in seen), default=0.0)
     kept = [
         (R, t)
         for cost, R, t in sorted(seen, key=lambda s: s[0])
-        if cost < 1.2 * best + threshold_px**2
+        if cost < _COST_RATIO * best + threshold_px**2
     ]
     return kept or [start]
 
@@ -288,10 +311,10 @@ def robust_fit(
     seed: int,
     device: Any = None,
 ) -> RobustModel:
-    """E, or F where the options say so, by their estimator.
+    """Estimate E, or F if the options say so, with the estimator of the options.
 
-    The estimator gets the distance ratios of the matches and their operators; ours orders its
-    samples by the former and learns the share of inliers of the latter.
+    The estimator gets the distance ratios of the matches and their operators. The built-in one
+    orders its samples by the ratios and estimates the inlier rate of each operator.
     """
     fit = run_estimator(
         options.backend,
@@ -315,11 +338,12 @@ def robust_fit(
 
 
 def refit_8point(fit: RobustModel, x1: Tensor, x2: Tensor, threshold_px: float) -> RobustModel:
-    """The normalised eight-point F of all inliers, and its inliers: RANSAC's last step (Hartley &
-    Zisserman, alg. 11.4).
+    """Fit F to all inliers with the normalised eight-point algorithm, the last step of RANSAC.
 
-    The best sample alone is a lottery over the order of the matches: it may pass every inlier test
-    and still turn the translation by degrees.
+    The model of the best sample depends on the order of the matches: even if all inliers agree
+    with it, the direction of its translation can be wrong by degrees.
+
+    Source: Hartley and Zisserman, 2nd ed., algorithm 11.4.
     """
     if fit.model is None or int(fit.inliers.sum()) < MIN_MATCHES:
         return fit

@@ -26,13 +26,13 @@ class Operator(Protocol):
     """A feature operator: a detector with its descriptor.
 
     A plug-in is a callable ``(image, **options) -> Features``. sfmkit reduces the image to
-    ``max_size`` before the call; afterwards it rescales the keypoints, drops those outside the mask
-    and keeps the number that the budget allows. An operator with a parameter of one of these names
-    gets it in addition to its own options:
+    ``max_size`` before the call. After the call it rescales the keypoints, drops those outside the
+    mask and keeps at most as many as the budget allows. A parameter with one of these names gets
+    its value from sfmkit:
 
-    - ``grey``: (H, W) uint8, the image in grey levels, which sfmkit has computed anyway;
-    - ``select``: function ``(xy, scores) -> rows`` of the keypoints that mask and budget leave, for
-      an operator that describes only those; xy (N, 2) pixels of the image, scores (N,);
+    - ``grey``: (H, W) uint8, the image in grey levels;
+    - ``select``: function ``(xy, scores) -> rows`` that returns the keypoints within mask and
+      budget, for an operator that describes only these; xy (N, 2) pixels of the image, scores (N,);
     - ``preset``: ``default``, ``paper`` or ``dense``;
     - ``device``: torch device on which to compute, or None for the CPU.
 
@@ -43,17 +43,17 @@ class Operator(Protocol):
         """Find and describe keypoints.
 
         Args:
-            image: (H, W, 3) uint8 RGB; it must not be changed.
+            image: (H, W, 3) uint8 RGB; the operator must not modify it.
             options: The operator's own options, given in ``DetectOptions.overrides``.
 
         Returns:
-            Features of the image, keypoints in its pixels and inside it, ``size_wh`` (W, H). The
-            field ``operator`` is set by sfmkit. An image without keypoints gives empty arrays.
+            Features in pixels of the image, with all keypoints inside it and ``size_wh`` equal to
+            (W, H). sfmkit sets the field ``operator``. Without keypoints the arrays are empty.
         """
 
 
 class OperatorRegistry(Registry[Callable[..., Features]]):
-    """Operators by name; ``detector+descriptor`` and ``affine-NAME`` are composed on demand."""
+    """The operators; ``detector+descriptor`` and ``affine-NAME`` are composed on demand."""
 
     def __contains__(self, name: str) -> bool:
         try:
@@ -86,10 +86,10 @@ class OperatorRegistry(Registry[Callable[..., Features]]):
         return super().import_path(name)
 
     def options(self, name: str) -> dict[str, Any]:
-        """The options of an operator with their defaults.
+        """Return the options of an operator with their defaults.
 
         Raises:
-            OperatorError: there is no such operator.
+            OperatorError: The operator is unknown.
         """
         plugin = self[name]
         if isinstance(plugin, (BuiltInOperator, AffineOperator, LearnedOperator)):
@@ -105,7 +105,7 @@ class OperatorRegistry(Registry[Callable[..., Features]]):
         return self._code(plugin.base) if isinstance(plugin, AffineOperator) else plugin
 
     def _spelling(self, name: str) -> str:
-        """Built-in names are found whatever their case."""
+        """Return the registered spelling; the case of built-in names is ignored."""
         name = str(name).strip()
         return name if super().__contains__(name) else name.lower()
 
@@ -118,11 +118,11 @@ for _learned in LEARNED.values():
 
 
 def register_operator(name: str, operator: F) -> F:
-    """Make an operator available under a name everywhere that operators are named.
+    """Register an operator under a name, for this process.
 
     Args:
-        name: What the operator is called in ``operators=``, tables, recordings and reports.
-        operator: A callable that obeys the contract of :class:`Operator`.
+        name: Name of the operator in ``operators=``, tables, recordings and reports.
+        operator: A callable that fulfils the contract of :class:`Operator`.
 
     Returns:
         `operator`.
@@ -144,18 +144,19 @@ def run_operator(
     device: Any,
     **options: Any,
 ) -> Features:
-    """Run an operator and check that its result obeys the contract.
+    """Run an operator and check that its result fulfils the contract.
 
     Args:
-        name: Of an operator.
+        name: Name of the operator.
         image: (H, W, 3) uint8 RGB.
-        grey: (H, W) uint8, the same in grey levels.
-        select: Rows of the keypoints to keep, from positions (N, 2) and scores (N,).
-        preset, device: Passed to operators that take them.
-        options: The operator's own.
+        grey: (H, W) uint8, the image in grey levels.
+        select: Function that returns the rows of the keypoints to keep, from positions (N, 2) and
+            scores (N,).
+        preset, device: Passed to operators with such parameters.
+        options: The operator's own options.
 
     Raises:
-        OperatorError: there is no such operator, it failed, or its result is wrong.
+        OperatorError: The operator is unknown, fails, or returns an invalid result.
     """
     operator = OPERATOR_PLUGINS[name]
     common = {"grey": grey, "select": select, "preset": preset, "device": device}

@@ -48,7 +48,7 @@ MATCHER_PLUGINS.register("lightglue", lightglue)
 
 
 def register_matcher(name: str, matcher: F) -> F:
-    """Make a matcher available under a name everywhere that matchers are named.
+    """Register a matcher under a name, for this process.
 
     Args:
         name: What the matcher is called in ``matchers=``, ``--matcher`` and reports.

@@ -1,6 +1,6 @@
-"""The stages of the main job, one function each.
+"""The stages of the pipeline, one function per stage.
 
-Every stage is a function of the stages before it, so that a notebook can stop after any of them.
+Each stage takes the results of the stages before it, so a notebook can stop after any of them.
 :func:`~sfmkit.pipeline.reconstruction.reconstruct` and
 :func:`~sfmkit.pipeline.registration.register` call them in order and keep all results.
 """
@@ -74,7 +74,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def say(self, name: str, detail: str) -> None:
-        """Report progress, if somebody listens."""
+        """Report progress if a callback was given."""
         if self.progress is not None:
             self.progress(name, detail)
 
@@ -86,19 +86,19 @@ def choose_options(
     matchers: str | Mapping[str, str] | None = None,
     device: str | torch.device | None = None,
 ) -> Options:
-    """The options of a run, with its matchers and device, checked before the work starts.
+    """Complete the options of a run and check them before the work starts.
 
     Args:
-        options: The preset or the caller's own.
+        options: A preset or the caller's own options.
         operators: The operators of the run.
-        matchers: The name of a matcher for all operators, or operator -> matcher; None leaves
-            those of the options.
-        device: Torch device; None leaves that of the options.
+        matchers: The name of a matcher for all operators, or a mapping operator -> matcher; None
+            keeps those of the options.
+        device: Torch device; None keeps that of the options.
 
     Raises:
-        InputError: Matchers or overrides of operators that are not used, an unknown matcher or
-            estimator, a device that is not there.
-        OperatorError: No operator, or an unknown one.
+        InputError: Matchers or overrides are given for operators that are not used, a matcher or
+            estimator is unknown, or the device is not available.
+        OperatorError: No operator is given, or one is unknown.
     """
     if not operators:
         raise OperatorError("no operator given; name at least one, e.g. operators=('surf', 'orb')")
@@ -125,7 +125,7 @@ def check_device(device: str) -> None:
     """Check that torch can compute on a device.
 
     Raises:
-        InputError: The name is malformed, or the device is not there.
+        InputError: The name is malformed, or the device is not available.
     """
     try:
         torch.zeros(1, device=device)
@@ -137,11 +137,15 @@ def check_device(device: str) -> None:
 def choose_cameras(
     images: tuple[Image, Image], camera: CameraLike | None, camera2: CameraLike | None = None
 ) -> tuple[Camera, Camera]:
-    """The cameras of both images: as given, or from EXIF; checked against the images' sizes.
+    """Choose the cameras of both images, as given or from EXIF, and check their sizes.
+
+    Args:
+        images: Image 1 and image 2.
+        camera: Of image 1, and of image 2 if `camera2` is None; None reads EXIF.
+        camera2: Of image 2, if it was taken by another camera.
 
     Raises:
-        CameraError: no camera can have these intrinsics, or they are for another size than the
-            image.
+        CameraError: The intrinsics are impossible, or belong to an image of another size.
     """
     first = _camera(camera, images[0])
     if camera2 is None and camera is not None:
@@ -170,8 +174,7 @@ def _camera(camera: CameraLike | None, image: Image) -> Camera:
 
 
 def _same_lens(camera: Camera, image: Image) -> Camera:
-    """`camera` for another image of the same shape; a crop or another camera needs its own
-    intrinsics."""
+    """Scale `camera` to an image of the same shape; a crop or another camera has its own K."""
     (w, h), (w1, h1) = image.size_wh, camera.size_wh
     if abs(w / w1 - h / h1) > 0.01 * w / w1:
         raise CameraError(
@@ -191,10 +194,10 @@ def detect_all(
 ) -> dict[str, tuple[Features, Features]]:
     """Stage 1: run every operator on both images.
 
-    An operator that finds nothing stays, with empty features, and a warning is issued.
+    An operator that finds nothing has empty features in the result, and a warning is issued.
 
     Raises:
-        OperatorError: An operator is unknown, not available here, or fails.
+        OperatorError: An operator is unknown, is not available, or fails.
     """
     watch = watch or Stopwatch()
     features: dict[str, tuple[Features, Features]] = {}
@@ -226,7 +229,7 @@ def match_all(
     *,
     device: str | None = None,
 ) -> dict[str, Matches]:
-    """Stage 2, matching: match each operator's features by its matcher."""
+    """Stage 2, matching: match the features of each operator with its matcher."""
     watch = watch or Stopwatch()
     matches = {}
     for name, (f1, f2) in features.items():
@@ -238,7 +241,7 @@ def match_all(
 def fuse_all(
     features: FeaturePairs, matches: Mapping[str, Matches], options: FuseOptions
 ) -> Correspondences:
-    """Stage 2, fusion: put the matches of all operators into one set."""
+    """Stage 2, fusion: merge the matches of all operators into one set of correspondences."""
     return fuse(
         {name: (*features[name], matches[name]) for name in matches},
         merge_radius=options.merge_radius,
@@ -259,13 +262,13 @@ def estimate_geometry(
     Args:
         corr: N correspondences in pixels of the photographs.
         cameras: Of image 1 and image 2.
-        options: ``refine`` switches the refinement off.
+        options: Options of the estimation; ``refine=False`` switches the refinement off.
         seed: The same seed gives the same result on the same machine.
-        device: For estimators that take one.
+        device: Torch device, for estimators with such a parameter.
 
     Returns:
-        The geometry, refined where it has a translation; and the bundle adjustment that gave it,
-        None where there was none.
+        The geometry, refined if it has a translation, and the bundle adjustment that refined it,
+        or None.
     """
     options, watch = options or EstimateOptions(), watch or Stopwatch()
     with watch.stage("estimate", "epipolar geometry and pose"):
@@ -289,13 +292,13 @@ def make_cloud(
     Args:
         corr: N correspondences.
         view: Their geometry.
-        image1: For the colours.
+        image1: Image 1, from which the colours are taken.
         options: Method and limits.
-        adjustment: What gave `view` its pose; with it the points have a covariance.
+        adjustment: The bundle adjustment that refined `view`; it supplies the covariances.
 
     Returns:
-        The points in front of both cameras, finite and within the limits; ``match`` holds their
-        rows of `corr`. None where the geometry has no translation.
+        The finite points in front of both cameras and within the limits; ``match`` contains their
+        rows in `corr`. None if the geometry has no translation.
     """
     if view.R is None or view.t is None:
         return None
@@ -332,7 +335,7 @@ def make_cloud(
 
 
 def sample_colours(image: Image, x: Tensor) -> Tensor:
-    """(N, 3) uint8 colours of the pixels nearest to x (N, 2)."""
+    """Return the (N, 3) uint8 colours of the pixels nearest to x (N, 2)."""
     w, h = image.size_wh
     c = x.round().long()
     return torch.from_numpy(
@@ -341,11 +344,11 @@ def sample_colours(image: Image, x: Tensor) -> Tensor:
 
 
 def pose_errors(view: TwoView, R: np.ndarray, t: np.ndarray) -> dict[str, float]:
-    """Errors of rotation and of the direction of translation, degrees; NaN where unknown.
+    """Compute the errors of rotation and translation direction, degrees; NaN where unknown.
 
     Args:
         view: The estimate.
-        R, t: (3, 3) and (3,), the truth; t up to scale.
+        R, t: (3, 3) and (3,), the true pose; t up to scale.
     """
     nan = float("nan")
     if view.R is None:
@@ -358,5 +361,5 @@ def pose_errors(view: TwoView, R: np.ndarray, t: np.ndarray) -> dict[str, float]
 
 
 def name_of(image: Image, number: int) -> str:
-    """The name of an image in outputs: that of its file, or its number."""
+    """Return the name of an image in outputs: its file name, or its number."""
     return label(Path(image.path).name) if image.path else f"image{number}"
