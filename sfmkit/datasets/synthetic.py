@@ -79,15 +79,15 @@ class SyntheticPair:
         return self.scene.cast(*rays(camera.K, pose, _pixels(x).T), EXACT)[0]
 
     def transfer(self, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where image 2 shows what image 1 shows at pixels `x1`.
+        """Transfer pixels `x1` of image 1 to image 2 with the true depth.
 
         Args:
             x1: (N, 2) pixels of image 1, which need not be whole.
 
         Returns:
-            x2: (N, 2) float64 pixels, NaN for points behind camera 2. Sky is transferred as a point
-                at infinity.
-            visible: (N,) bool, False outside image 2 or behind something nearer.
+            (x2, visible). x2 (N, 2) float64 pixels, NaN for points behind camera 2; sky is
+            transferred as a point at infinity. visible (N,) bool, False outside image 2 or behind
+            something nearer.
         """
         x1 = _pixels(x1)
         z1 = self.depth_at(1, x1)

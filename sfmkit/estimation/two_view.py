@@ -284,7 +284,10 @@ def planar_poses(
     ]
     seen: list[tuple[float, Tensor, Tensor]] = []
     for R, t in candidates:
-        if float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean()) < _LEAST_SHARE_IN_FRONT:
+        if (
+            float(cheirality(xn1[inliers], xn2[inliers], R, t).double().mean())
+            < _LEAST_SHARE_IN_FRONT
+        ):
             continue
         R, t = refine_essential(R, t, x1[inliers], x2[inliers], K1, K2).pose
         e = signed_sampson_distance(fundamental_from_pose(R, t, K1, K2), x1, x2)

@@ -84,9 +84,9 @@ def bench_fountain(
 
     Returns:
         Rows of two kinds: ``cloud`` (pair, preset, operator or ``multi``, merged, seed ->
-            keypoints, matches, initial,
-        points, loss, precision, kept, rotation_deg, translation_deg, seconds) and ``scene`` (scene,
-        preset, seed -> points, median_error, p90_error (shares of the depth), close).
+        keypoints, matches, initial, points, loss, precision, kept, rotation_deg, translation_deg,
+        seconds) and ``scene`` (scene, preset, seed -> points, median_error, p90_error (shares of
+        the depth), close).
 
     Raises:
         InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with

@@ -67,13 +67,12 @@ def bench_oxford(
         sequences: names; None for all that are there.
         operators: at least one; each runs alone, and all together as ``multi``.
         seeds: each estimate is made with seeds 0 ... seeds - 1.
-        workers: processes; None for one a core.
+        workers: processes; None for one per core.
 
     Returns:
         Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
-            rmse, corner_error_px,
-        matches, inliers, seconds; rmse and corner_error_px are None where the verdict was too
-        little evidence), ``floor`` (the same for a fit to the fused matches that agree with the
+        rmse, corner_error_px, matches, inliers, seconds; rmse and corner_error_px are None where
+        the verdict was too little evidence), ``floor`` (the same for a fit to the fused matches that agree with the
         truth within 3 px) and ``features`` (per operator: keypoints, matches, repeatability,
         matching_score, mma, seconds).
 

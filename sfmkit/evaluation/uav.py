@@ -135,9 +135,8 @@ def bench_uav(
 
     Returns:
         Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target,
-            seconds), ``colmap`` (case,
-        given -> placed, points, target, seconds; ``missing`` where pycolmap is) and ``given``
-        (file, case -> points, target).
+        seconds), ``colmap`` (case, given -> placed, points, target, seconds; ``missing`` where
+        pycolmap is) and ``given`` (file, case -> points, target).
 
     Raises:
         InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with

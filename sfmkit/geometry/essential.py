@@ -97,9 +97,8 @@ def decompose_essential(E: Tensor) -> tuple[Tensor, Tensor]:
         E: (*B, 3, 3), any scale and sign; projected to the essential manifold first.
 
     Returns:
-        R: (*B, 4, 3, 3), in the order R1, R1, R2, R2.
-        t: (*B, 4, 3) unit, in the order t, -t, t, -t; the largest component of the first is
-            positive.
+        (R, t). R (*B, 4, 3, 3), in the order R1, R1, R2, R2. t (*B, 4, 3) unit, in the order t,
+        -t, t, -t; the largest component of the first is positive.
 
     Raises:
         DegenerateGeometryError: E is zero.
@@ -132,9 +131,8 @@ def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
         xn1, xn2: (*B, 5, 2) normalised coordinates.
 
     Returns:
-        E: (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary sign; zero
-            where there is no solution.
-        valid: (*B, 10) bool, the solutions first.
+        (E, valid). E (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary
+        sign; zero where there is no solution. valid (*B, 10) bool, the solutions first.
 
     Raises:
         InputError: not exactly 5 matches; shapes, dtypes, devices, NaN.

@@ -66,9 +66,8 @@ def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
         x1, x2: (*B, 7, 2) pixels.
 
     Returns:
-        F: (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2, arbitrary sign;
-            zero where there is no solution.
-        valid: (*B, 3) bool, the solutions first.
+        (F, valid). F (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2,
+        arbitrary sign; zero where there is no solution. valid (*B, 3) bool, the solutions first.
 
     Raises:
         InputError: not exactly 7 matches; shapes, dtypes, devices, NaN.
