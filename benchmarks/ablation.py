@@ -1,11 +1,11 @@
-"""What a sweep costs: one worker against two, cold against cached.
+"""Measure the time of a sweep: one worker against two, without cache against cached.
 
     python benchmarks/ablation.py [--data oxford:graf] [--operators surf,orb,fast-brief,sift,akaze]
     [--seeds 3] [--runs 3]
 
-Runs alternate between one and two workers, each in a fresh folder with a fresh cache; the medians'
-ratio is the speed-up. Starting the workers (importing torch and OpenCV) is counted. The rows of all
-runs are compared.
+Runs alternate between one and two workers, each in a new folder with a new cache; the speed-up is
+the ratio of the medians. Starting the workers (importing torch and OpenCV) is included. The rows of
+all runs are compared.
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ def main() -> None:
             flush=True,
         )
     print(
-        f"\n{len(table):,} rows; cache {size:,.0f} MB; most memory {max(table['peak_memory_mb']):,.0f} MB a worker\n"
+        f"\n{len(table):,} rows; cache {size:,.0f} MB; "
+        f"peak memory {max(table['peak_memory_mb']):,.0f} MB per worker\n"
     )
     print("| | median | fastest |\n|---|---:|---:|")
     for name, times in seconds.items():

@@ -1,23 +1,20 @@
-"""Robust estimation side by side: five-point hypotheses against kornia, whole estimates against
-PoseLib, pycolmap and OpenCV.
+"""Compare robust estimation with kornia, PoseLib, pycolmap and OpenCV.
 
     SFMKIT_DATA=... python benchmarks/estimation.py [--threads 2] [--runs 5] [--step 4] [--seeds 3]
     [--scenes fountain,courtyard]
 
 Prints, as Markdown:
 
-* 1000 five-point samples, all real solutions, scored against 10,000 matches: ours, and
-  ``kornia.geometry.RANSAC`` for as many hypotheses (its own stopping switched off);
+* 1000 five-point samples, all real solutions, scored against 10,000 matches: sfmkit, and
+  ``kornia.geometry.RANSAC`` for the same number of hypotheses (its stopping criterion disabled);
 * on the fused matches of pairs of photographs at most `step` views apart, of EPFL fountain-P11 at
-  half size and of a walk
-  through the rendered courtyard: time and pose error of every estimator on the very same matches,
-      and the AUC of
-  max(rotation, translation) error. Ours is shown twice: given the matches alone, as the others are,
-  and told the distance ratio and operator of each match as well, which the others have no way to
-  take.
+  half size and of a walk through the rendered courtyard: time and pose error of every estimator on
+  the same matches, and the AUC of max(rotation, translation) error. sfmkit is shown twice: with the
+  matches only, like the others, and with the distance ratio and operator of each match, which the
+  others cannot use.
 
-Times are wall-clock, the estimators taking turns in one process; what is shown is the median over
-pairs and the sum.
+Times are wall-clock times of alternating runs in one process; the median over pairs and the sum are
+shown.
 """
 
 from __future__ import annotations
@@ -103,8 +100,7 @@ def fountain(step: int) -> list[MatchedPair]:
 
 
 def courtyard(step: int) -> list[MatchedPair]:
-    """Along an arc of 5 m before the wall, stooping and stretching, looking at about the same
-    place."""
+    """Render views along an arc of 5 m in front of the wall, directed at about the same place."""
     surfaces = named_scene("courtyard").surfaces
     s = np.linspace(-1, 1, VIEWS)
     poses = [
@@ -189,7 +185,7 @@ def estimators(p: MatchedPair, seed: int) -> dict[str, Callable[[], RobustModel]
     known = {"ratio": p.corr.ratio, "groups": p.corr.operator_id}
     given = (p.x1, p.x2, p.K, p.K)
     return {
-        "sfmkit, told ratios and operators": lambda: robust.estimate(*given, seed=seed, **known),
+        "sfmkit with ratios and operators": lambda: robust.estimate(*given, seed=seed, **known),
         "sfmkit": lambda: robust.estimate(*given, seed=seed),
         "PoseLib": lambda: peers.estimate_poselib(*given, seed=seed),
         "PoseLib, 100,000 samples": lambda: peers.estimate_poselib(
@@ -227,25 +223,26 @@ def estimates(pairs: list[MatchedPair], seeds: int) -> None:
         for p in pairs
     ]
     print(
-        f"{len(pairs)} pairs of {min(counts):,} to {max(counts):,} matches, of which {100 * min(right):.0f} to {100 * max(right):.0f} % lie "
-        f"within 1 px of the true epipolar line; {seeds} seeds\n"
+        f"{len(pairs)} pairs of {min(counts):,} to {max(counts):,} matches, of which "
+        f"{100 * min(right):.0f} to {100 * max(right):.0f} % lie within 1 px of "
+        f"the true epipolar line; {seeds} seeds\n"
     )
     head = " | ".join(f"AUC {d}°" for d in THRESHOLDS)
-    print(f"| estimator | ms a pair | in all, of PoseLib's | median error | over 2° | {head} |")
+    print(f"| estimator | ms per pair | total, of PoseLib's | median error | over 2° | {head} |")
     print("|---|--:|--:|--:|--:|" + "--:|" * len(THRESHOLDS))
     for name, ms in times.items():
         e = torch.tensor(errors[name], dtype=torch.float64)
         auc = " | ".join(f"{float(a):.3f}" for a in pose_auc(e, THRESHOLDS))
         share = sum(ms) / sum(times["PoseLib"])
         print(
-            f"| {name} | {statistics.median(ms):.0f} | {share:.2f} | {e.median():.3f}° | {int((e > 2).sum())} | {auc} |"
+            f"| {name} | {statistics.median(ms):.0f} | {share:.2f} | {e.median():.3f}° "
+            f"| {int((e > 2).sum())} | {auc} |"
         )
     print()
 
 
 def pose_error(E: Tensor | None, p: MatchedPair) -> float:
-    """The larger of rotation and translation error, degrees, of the best of the four poses; 180
-    without a model."""
+    """Compute max(rotation, translation) error of the best of four poses; 180 without a model."""
     if E is None:
         return 180.0
     Rs, ts = decompose_essential(E)

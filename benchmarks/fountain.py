@@ -1,15 +1,14 @@
-"""The main job on EPFL fountain-P11, images 0000 and 0001 at full size: ours, the paper's recipe,
-and COLMAP.
+"""Compare sfmkit, the paper's recipe and COLMAP on EPFL fountain-P11, images 0000 and 0001.
 
     SFMKIT_DATA=... python benchmarks/fountain.py [--runs 3] [--markdown]
 
-Prints the account of every preset beside the paper's Table 6, the pose error and the precision of
-the cloud's matches against the true cameras, and the times, side by side in one run:
+Prints the statistics of every preset beside the paper's Table 6, the pose error and the precision
+of the cloud's matches against the true cameras, and the times, all from one run:
 
-* sfmkit, every preset, reading to triangulating (imports aside);
-* the paper's recipe written straight with cv2: the same operators, ``BFMatcher(crossCheck=True)``,
-  ``findFundamentalMat(RANSAC, 3 px)``, ``recoverPose``, ``triangulatePoints``. OpenCV's wheels have
-  no SURF, so ours stands in, which is faster than theirs and so favours the recipe;
+* sfmkit, every preset, from reading to triangulating (without imports);
+* the paper's recipe written with cv2: the same operators, ``BFMatcher(crossCheck=True)``,
+  ``findFundamentalMat(RANSAC, 3 px)``, ``recoverPose``, ``triangulatePoints``. OpenCV's wheels do
+  not contain SURF, so that of sfmkit is used, which is faster and so favours the recipe;
 * pycolmap: SIFT extraction, matching and two-view geometry (its database path), with the same
   number of threads.
 """
@@ -42,7 +41,7 @@ from sfmkit.types import Camera
 
 
 def recipe(path1: Path, path2: Path, K: np.ndarray) -> dict:
-    """The paper's recipe with cv2, timed."""
+    """Time the paper's recipe with cv2."""
     began = time.perf_counter()
     images = [read_image(p) for p in (path1, path2)]
     x1, x2 = [], []
@@ -67,7 +66,7 @@ def recipe(path1: Path, path2: Path, K: np.ndarray) -> dict:
 
 
 def colmap(path1: Path, path2: Path, camera: Camera) -> dict:
-    """pycolmap's SIFT, matching and verification on the two images, timed."""
+    """Time SIFT, matching and verification of pycolmap on the two images."""
     points, seconds = two_view_inliers(path1, path2, camera)
     return {"seconds": seconds, "points": points}
 
@@ -75,17 +74,19 @@ def colmap(path1: Path, path2: Path, camera: Camera) -> dict:
 def print_account(label: str, result) -> None:
     print(f"\n{label}")
     print(
-        f"  {'operator':<12}{'initial':>9}{'paper':>9}{'points':>9}{'paper':>9}{'loss %':>8}{'paper':>8}"
+        f"  {'operator':<12}{'initial':>9}{'paper':>9}{'points':>9}{'paper':>9}"
+        f"{'loss %':>8}{'paper':>8}"
     )
     for name, (initial, points, loss) in FOUNTAIN.items():
         a = result.account[name]
         print(
-            f"  {name:<12}{a.initial:>9,}{initial:>9,}{a.points:>9,}{points:>9,}{100 * a.loss:>8.2f}{loss:>8.2f}"
+            f"  {name:<12}{a.initial:>9,}{initial:>9,}{a.points:>9,}{points:>9,}"
+            f"{100 * a.loss:>8.2f}{loss:>8.2f}"
         )
 
 
 def peak_memory(preset: str, pair: Pair) -> float:
-    """GiB of a whole process that runs the command once."""
+    """Measure the peak memory (GiB) of a process that runs the command once."""
     K = pair.image1.parent / "K.txt"
     with tempfile.TemporaryDirectory() as out:
         command = [
@@ -152,8 +153,9 @@ def main() -> None:
         corr, cloud = result.correspondences, result.cloud
         right = right_matches(F_true, corr)[cloud.match]
         print(
-            f"  error: rotation {result.errors['rotation_deg']:.4f} deg, translation {result.errors['translation_deg']:.4f} deg;"
-            f" within 1 px of the true epipolar line: {float(right.double().mean()):.2%} of the cloud's matches"
+            f"  error: rotation {result.errors['rotation_deg']:.4f} deg, "
+            f"translation {result.errors['translation_deg']:.4f} deg; within 1 px of the true "
+            f"epipolar line: {float(right.double().mean()):.2%} of the cloud's matches"
         )
         print("  " + ", ".join(f"{k} {v:.2f} s" for k, v in result.timings_s.items()))
     print(f"\n{'job':<26}{'median s':>10}{'min':>8}{'max':>8}{'points':>9}{'x default':>11}")
@@ -167,7 +169,8 @@ def main() -> None:
         print(f"peak memory, whole command, {preset} preset: {peak_memory(preset, pair):.2f} GiB")
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(
-        f"peak memory of this benchmark, all jobs together: {own:.2f} GiB; threads {torch.get_num_threads()}"
+        f"peak memory of this benchmark, all jobs together: {own:.2f} GiB; "
+        f"threads {torch.get_num_threads()}"
     )
 
 

@@ -1,12 +1,12 @@
-"""How long matching takes: ours against cv2.BFMatcher(crossCheck=True) and, where installed, faiss;
-all exact.
+"""Compare the time of exact matching: sfmkit, cv2.BFMatcher(crossCheck=True) and faiss.
 
     SFMKIT_DATA=... python benchmarks/matching.py [--rounds 5] [PHOTO1 PHOTO2]
 
-Descriptors of two photographs (EPFL fountain-P11, 0000 and 0001), found with the paper's settings
-and thinned evenly to the sizes shown. The ways take turns in one process with all cores; medians.
-Processor time tells what a busy machine hides. Memory is the peak above what was there before the
-call (Linux). faiss searches once each way, and the mutual pairs are kept.
+The descriptors are those of two photographs (EPFL fountain-P11, 0000 and 0001) with the paper's
+settings, thinned evenly to the sizes shown. The methods alternate in one process with all cores;
+the medians are shown. Processor time depends less on the load of the machine. Memory is the peak
+above that before the call (Linux). faiss, if installed, searches once in each direction, and the
+mutual pairs are kept.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def faiss_both_ways(a: Features, b: Features) -> Pairs:
 
 
 def extra_mib(call: Callable[[Features, Features], object], a: Features, b: Features) -> float:
-    """Peak memory of a call above what the process held before; NaN where there is no /proc."""
+    """Measure the peak memory of a call above that before; NaN without /proc."""
     status, reset = Path("/proc/self/status"), Path("/proc/self/clear_refs")
     if not status.exists():
         return float("nan")
@@ -114,8 +114,9 @@ def compare(name: str, a: Features, b: Features, rounds: int) -> None:
     for way in ways:
         t, c = median(wall[way]), median(processor[way])
         print(
-            f"| {name:<18} | {len(a):,} x {len(b):,} x {width:<10} | {way:<13} | {len(pairs[way]):>7,} "
-            f"| {len(pairs[way] & pairs[reference]):>7,} | {t:>6.2f} | {median(wall[reference]) / t:>7.1f} "
+            f"| {name:<18} | {len(a):,} x {len(b):,} x {width:<10} | {way:<13} "
+            f"| {len(pairs[way]):>7,} | {len(pairs[way] & pairs[reference]):>7,} "
+            f"| {t:>6.2f} | {median(wall[reference]) / t:>7.1f} "
             f"| {c:>6.2f} | {median(processor[reference]) / c:>7.1f} | {memory[way]:>6.0f} |",
             flush=True,
         )
@@ -137,10 +138,12 @@ def main() -> None:
     images = [read_image(path) for path in photos]
     print(f"{photos[0].name}, {photos[1].name}; {os.cpu_count()} cores; median of {args.rounds}")
     print(
-        f"| {'descriptors':<18} | {'size':<28} | {'way':<13} | matches | as cv2  | wall s | x cv2   | CPU s  | x cv2   | MiB    |"
+        f"| {'descriptors':<18} | {'size':<28} | {'method':<13} | matches | as cv2  | wall s "
+        "| x cv2   | CPU s  | x cv2   | MiB    |"
     )
     print(
-        f"|{'-' * 20}|{'-' * 30}|{'-' * 15}|--------:|--------:|-------:|--------:|-------:|--------:|-------:|"
+        f"|{'-' * 20}|{'-' * 30}|{'-' * 15}|--------:|--------:|-------:|--------:|-------:"
+        "|--------:|-------:|"
     )
     found: dict[str, list[Features]] = {}
     for operator, n, gated in CASES:

@@ -1,11 +1,11 @@
-"""Feature operators on a real pair: how much each finds, how much of it is true, what it costs.
+"""Compare feature operators on a real pair: number and precision of the matches, and time.
 
     SFMKIT_DATA=... python benchmarks/operators.py [--operators orb,sift,fast+freak] [--pair 0]
     [--runs 3]
 
 Matches are mutual nearest neighbours without further tests; a match is true when both of its points
 lie within 1 (or 0.5) pixel of the true epipolar lines. Three tables: the operators; sub-pixel
-refinement off and on; a budget of 8,000 filled with the strongest keypoints, and evenly.
+refinement off and on; a budget of 8,000 keypoints, the strongest or spread evenly.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def fundamental(pair) -> np.ndarray:
 
 
 def line_distance(F_mat: np.ndarray, x1: np.ndarray, x2: np.ndarray) -> np.ndarray:
-    """The larger of the two distances to the true lines, pixels."""
+    """Compute the larger of the two distances to the true lines, pixels."""
     x1, x2 = (np.c_[x.astype(np.float64), np.ones(len(x))] for x in (x1, x2))
     line2, line1 = x1 @ F_mat.T, x2 @ F_mat
     return np.abs((line2 * x2).sum(axis=1)) / np.minimum(
@@ -43,8 +43,11 @@ def line_distance(F_mat: np.ndarray, x1: np.ndarray, x2: np.ndarray) -> np.ndarr
 
 
 def quality(F_mat: np.ndarray, f1: Features, f2: Features) -> tuple[int, float, float, float]:
-    """Matches, shares within 1 and 0.5 px, and the share of 64-pixel cells of image 1 with a true
-    match."""
+    """Count matches, and compute shares.
+
+    Returns:
+        Matches, shares within 1 and 0.5 px, share of 64-pixel cells of image 1 with a true match.
+    """
     m = match(f1, f2)
     x1 = f1.keypoints[m.index1]
     error = line_distance(F_mat, x1, f2.keypoints[m.index2])
@@ -59,7 +62,7 @@ def strongest(f: Features, n: int) -> Features:
 
 
 def opencv_alone(name: str):
-    """The same work written straight with cv2, where that exists."""
+    """Return the same operator with cv2 alone, if it exists."""
     options = {
         k: v for k, v in OPERATORS[name].options.items() if k not in ("subpixel", "oriented")
     }
@@ -98,7 +101,7 @@ def main() -> None:
     print(f"{pair}, {images[0].size_wh[0]} x {images[0].size_wh[1]}\n")
 
     print(
-        "| operator | keypoints | matches | < 1 px | < 0.5 px | true | s an image | x cv2 alone |"
+        "| operator | keypoints | matches | < 1 px | < 0.5 px | true | s per image | x cv2 alone |"
     )
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name in names:
@@ -119,7 +122,8 @@ def main() -> None:
         )
 
     print(
-        "\n| sub-pixel | off: < 1 px | < 0.5 px | on: < 1 px | < 0.5 px |\n|---|---:|---:|---:|---:|"
+        "\n| sub-pixel | off: < 1 px | < 0.5 px | on: < 1 px | < 0.5 px |\n"
+        "|---|---:|---:|---:|---:|"
     )
     for name in ("orb", "fast-brief", "agast+brief", "gftt-brief", "harris-brief"):
         off, on = (

@@ -1,4 +1,4 @@
-"""How long reading a photograph takes: ours against Pillow and OpenCV, interleaved in one process.
+"""Compare the time to read a photograph: sfmkit, Pillow and OpenCV, alternating in one process.
 
 python benchmarks/read.py [PHOTO]
 """

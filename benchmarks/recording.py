@@ -1,8 +1,8 @@
-"""How long a recording of a pair takes to write and to read back, and how large it is.
+"""Measure the size of a recording of a pair, and the time to write it and read it.
 
     python benchmarks/recording.py [IMAGE1 IMAGE2 INTRINSICS]
 
-Without arguments the bundled pair. Medians of five.
+Without arguments it uses the bundled pair. Times are medians of five runs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def main() -> None:
     print("| keypoints | correspondences | points | size, MB | write, s | inspect a point, s |")
     print("|--:|--:|--:|--:|--:|--:|")
     print(
-        f"| {sum(account.keypoints):,} | {account.initial:,} | {account.points:,} | {size:.1f} | {write:.2f} | {read:.2f} |"
+        f"| {sum(account.keypoints):,} | {account.initial:,} | {account.points:,} | {size:.1f} "
+        f"| {write:.2f} | {read:.2f} |"
     )
 
 

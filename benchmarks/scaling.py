@@ -1,13 +1,16 @@
-"""Where a sweep over a million pairs stops scaling: an event model fed with recorded task times.
+"""Simulate how a sweep over a million pairs scales, from recorded task times.
 
-    python benchmarks/scaling.py record SWEEP CACHE     task times and sizes of a sweep -> benchmarks/scaling_times.json
-    python benchmarks/scaling.py overhead               what handing out one task costs, local and Dask
+    python benchmarks/scaling.py record SWEEP CACHE
+    python benchmarks/scaling.py overhead
     python benchmarks/scaling.py simulate [--plot docs/images/ablation-scaling.png]
 
-The model is a closed network of three stations. Workers take turns at the scheduler, which serves
-one at a time for as long as a task costs it; fetch their task's arrays through a store of limited
-total bandwidth, shared in the order of arrival; and compute for a time drawn from the records.
-Throughput is counted after the start has settled.
+``record`` writes the task times and sizes of a sweep to benchmarks/scaling_times.json; ``overhead``
+measures the cost of distributing one task, local and with Dask.
+
+The model is a closed network of three stations. The scheduler serves one worker at a time, for the
+recorded cost of a task. The worker then fetches its arrays through a store of limited total
+bandwidth, in the order of arrival, and computes for a time drawn from the records. Throughput is
+measured after the initial phase.
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ class Layout:
     Attributes:
         name: for the legend.
         tasks: recorded pair -> its tasks.
-        scheduler_s: seconds of the scheduler a task.
-        store_mb_s: total bandwidth of the shared store; infinite where every node keeps its own.
+        scheduler_s: seconds of the scheduler per task.
+        store_mb_s: total bandwidth of the shared store; infinite if every node has its own.
         pairs_a_task: recorded pairs that `tasks` stands for.
     """
 
@@ -51,8 +54,7 @@ class Layout:
 
 
 def as_run(pair: dict) -> list[Task]:
-    """Detections, matchings and units of estimates as tasks of their own; arrays through the shared
-    cache."""
+    """Make one task per detection, matching and unit of estimates, with a shared cache."""
     features = [(s, mb) for s, mb in zip(pair["detect"], pair["detect_mb"])]
     matches = [
         (s, 2 * sum(pair["detect_mb"]) / len(pair["detect"]) + mb)
@@ -63,25 +65,25 @@ def as_run(pair: dict) -> list[Task]:
 
 
 def one_task(pair: dict) -> list[Task]:
-    """A pair is one task; its arrays still go to the shared cache, once."""
+    """Make one task per pair; its arrays are written to the shared cache once."""
     mb = sum(pair["detect_mb"]) + sum(pair["match_mb"])
     return [(sum(pair["detect"]) + sum(pair["match"]) + sum(pair["estimate"]), mb)]
 
 
 def one_shard(pair: dict) -> list[Task]:
-    """SHARD pairs are one task, which a node plans and carries out by itself."""
+    """Make one task per SHARD pairs, which one node plans and computes."""
     return [(SHARD * one_task(pair)[0][0], 0.0)]
 
 
 def throughput(workers: int, layout: Layout, pairs: list[dict], rng: random.Random) -> float:
-    """Pairs an hour of `workers` workers."""
+    """Simulate the throughput of `workers` workers in pairs per hour."""
     tasks = [task for pair in pairs for task in layout.tasks(pair)]
     per_pair = len(tasks) / len(pairs)
     count = max(6 * workers, 20 * len(tasks), 4000)
     rng.shuffle(tasks)
     settle = count // 3
     free_scheduler = free_store = 0.0
-    # Events: a worker asks for a task at its time; stations are served in the order of the events.
+    # Events: the times at which workers request a task; stations serve in the order of the events.
     asks = [(rng.uniform(0, 1), k) for k in range(workers)]
     heapq.heapify(asks)
     ends = []
@@ -94,9 +96,7 @@ def throughput(workers: int, layout: Layout, pairs: list[dict], rng: random.Rand
         heapq.heappush(asks, (ready + seconds, k))
         ends.append(ready + seconds)
     ends.sort()
-    last = (
-        count - workers
-    )  # from here on the end of the experiment shows: workers that ask find nothing to do
+    last = count - workers  # later events are affected by the end of the experiment: idle workers
     return (
         (last - settle)
         / (ends[last - 1] - ends[settle - 1])
@@ -121,10 +121,12 @@ def simulate(args: argparse.Namespace) -> None:
     work = statistics.mean(one_task(p)[0][0] for p in pairs)
     mb = statistics.mean(one_task(p)[0][1] for p in pairs)
     print(
-        f"{len(pairs)} recorded pairs: {work:.1f} s of one core, {mb:.0f} MB, {each:.0f} tasks a pair"
+        f"{len(pairs)} recorded pairs: {work:.1f} s of one core, {mb:.0f} MB, {each:.0f} tasks "
+        "per pair"
     )
     print(
-        f"a task through Dask {1e3 * task_s:.1f} ms, a pair's rows {1e3 * pair_s:.1f} ms of the one who hands out work\n"
+        f"processor time of the coordinator: {1e3 * task_s:.1f} ms per task through Dask, "
+        f"{1e3 * pair_s:.1f} ms per pair for its rows\n"
     )
     print(
         "| workers | " + " | ".join(x.name for x in layouts) + " |\n|---:|" + "---:|" * len(layouts)
@@ -137,7 +139,7 @@ def simulate(args: argparse.Namespace) -> None:
             f"| {w:,} | " + " | ".join(f"{curves[x.name][-1]:,.0f}" for x in layouts) + " |",
             flush=True,
         )
-    print("\nhalf of what the workers could do, at about:")
+    print("\nefficiency of 50 % at about:")
     for x in layouts:
         ideal = [w * 3600 / work for w in WORKERS]
         bent = next((w for w, c, i in zip(WORKERS, curves[x.name], ideal) if c < i / 2), None)
@@ -174,8 +176,7 @@ def plot(curves: dict[str, list[float]], work: float, file: Path) -> None:
 
 
 def record(args: argparse.Namespace) -> None:
-    """Task times (processor time) and sizes of the pairs of a sweep, finished or not, from its
-    cache."""
+    """Record task times (processor time) and sizes of a sweep, finished or not, from its cache."""
     from sfmkit.ablation.cache import Cache
     from sfmkit.ablation.folder import read_sweep
     from sfmkit.ablation.plan import make_plan
@@ -228,8 +229,10 @@ def record(args: argparse.Namespace) -> None:
 
 
 def overhead(args: argparse.Namespace) -> None:
-    """Processor time of the one who hands out work: a task through Dask, and a pair's planning,
-    rows and shards."""
+    """Measure the processor time of the coordinator.
+
+    It is measured per task through Dask, and per pair for planning, rows and shards.
+    """
     from distributed import LocalCluster
 
     from sfmkit.ablation.cluster import DaskEngine
@@ -240,8 +243,8 @@ def overhead(args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder:
         pair = next(iter(pairs_of_planes()))
         task = next(iter(make_plan([pair], ["orb"], images=Path(folder)).detections.values()))
-        # The scheduler runs in this process, so its time is in ours. The task is in the cache after
-        # the first time.
+        # The scheduler runs in this process, so its time is included. After the first run the task
+        # is in the cache.
         with LocalCluster(
             n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
         ) as cluster:
@@ -268,8 +271,7 @@ def pairs_of_planes() -> list:
 
 
 def coordinator() -> float:
-    """Seconds a pair that planning, scheduling, building rows and writing shards take, with instant
-    workers."""
+    """Measure planning, scheduling, rows and shards in seconds per pair, with instant workers."""
     from sfmkit.ablation import run
     from sfmkit.ablation.tasks import EstimateTask
     from sfmkit.ablation.worker import Outcome

@@ -1,12 +1,11 @@
-"""SURF in torch: agreement with OpenCV's C++, quality of its matches, and speed beside OpenCV's
-SIFT.
+"""Compare SURF in torch with OpenCV: agreement, quality of the matches, and speed against SIFT.
 
     SFMKIT_DATA=... python benchmarks/surf.py [--runs 7]
 
-OpenCV's wheels have no SURF; its output is compared with what a build that has it found on four
-photographs at two thresholds. Times are multiples of ``cv2.SIFT_create().detectAndCompute``
-on the same image, in turns in one
-process: the same build's SURF took 3.9 to 4.0 times as long as SIFT.
+OpenCV's wheels do not contain SURF, so the output is compared with stored results of a build that
+does, for four photographs and two thresholds. Times are multiples of
+``cv2.SIFT_create().detectAndCompute`` on the same image, alternating in one process; SURF of that
+build took 3.9 to 4.0 times as long as SIFT.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def half(image: np.ndarray) -> np.ndarray:
 def partners(
     xy: np.ndarray, size: np.ndarray, others: np.ndarray, other_sizes: np.ndarray
 ) -> np.ndarray:
-    """Nearest other keypoint within 1 px and 10 % of size, or -1."""
+    """Find the nearest other keypoint within 1 px and 10 % of size, or -1."""
     distance, index = cKDTree(others).query(xy, k=8, distance_upper_bound=1.0)
     sizes = np.append(other_sizes, np.inf)[index]
     fits = np.isfinite(distance) & (np.abs(sizes - size[:, None]) <= 0.1 * size[:, None])
@@ -56,11 +55,12 @@ def partners(
 
 def agreement(data: Path) -> None:
     print(
-        "agreement with OpenCV's SURF (found: within 1 px and 10 % of size; angle and cosine over those pairs)\n"
+        "agreement with OpenCV's SURF (found: within 1 px and 10 % of size; angle and cosine over "
+        "those pairs)\n"
     )
     print(
-        f"| {'image':<19} | {'h':>3} | {'OpenCV':>6} | {'ours':>6} | {'found %':>7} | {'back %':>6} | {'angle deg':>9} "
-        f"| {'cosine':>6} | {'worst 10 %':>10} | {'sign %':>6} |"
+        f"| {'image':<19} | {'h':>3} | {'OpenCV':>6} | {'ours':>6} | {'found %':>7} "
+        f"| {'back %':>6} | {'angle deg':>9} | {'cosine':>6} | {'worst 10 %':>10} | {'sign %':>6} |"
     )
     print("|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|")
     for name, path in REFERENCES.items():
@@ -79,18 +79,22 @@ def agreement(data: Path) -> None:
             ).sum(1)
             sign = ours.laplacian[there] == reference["laplacian_sign"][pair]
             print(
-                f"| {name:<19} | {threshold:>3} | {len(pair):>6} | {len(ours):>6} | {100 * pair.mean():>7.2f} "
-                f"| {100 * (back >= 0).mean():>6.2f} | {np.median(np.abs((turn + 180) % 360 - 180)):>9.3f} "
-                f"| {np.median(cosine):>6.4f} | {np.quantile(cosine, 0.1):>10.4f} | {100 * sign.mean():>6.2f} |"
+                f"| {name:<19} | {threshold:>3} | {len(pair):>6} | {len(ours):>6} "
+                f"| {100 * pair.mean():>7.2f} | {100 * (back >= 0).mean():>6.2f} "
+                f"| {np.median(np.abs((turn + 180) % 360 - 180)):>9.3f} "
+                f"| {np.median(cosine):>6.4f} | {np.quantile(cosine, 0.1):>10.4f} "
+                f"| {100 * sign.mean():>6.2f} |"
             )
 
 
 def matches(data: Path) -> None:
     print(
-        "\nmutual nearest neighbours of fountain-P11 0000 and 0001 within 1 px of the true epipolar line\n"
+        "\nmutual nearest neighbours of fountain-P11 0000 and 0001 within 1 px of the true "
+        "epipolar line\n"
     )
     print(
-        "| image       | keypoints       | matches | within 1 px % | without the sign of the Laplacian % |"
+        "| image       | keypoints       | matches | within 1 px % "
+        "| without the sign of the Laplacian % |"
     )
     print("|---|--:|--:|--:|--:|")
     pair = next(p for p in strecha(data, ["fountain-P11"]))
@@ -116,18 +120,20 @@ def matches(data: Path) -> None:
         count, gated = share(one, two)
         unsigned = share(replace(one, laplacian=None), replace(two, laplacian=None))[1]
         print(
-            f"| {size_wh[0]} x {size_wh[1]} | {len(one):>6} {len(two):>6} | {count:>7} | {100 * gated:>13.1f} "
-            f"| {100 * unsigned:>35.1f} |"
+            f"| {size_wh[0]} x {size_wh[1]} | {len(one):>6} {len(two):>6} | {count:>7} "
+            f"| {100 * gated:>13.1f} | {100 * unsigned:>35.1f} |"
         )
 
 
 def speed(data: Path, runs: int) -> None:
     print(
-        f"\nspeed, {torch.get_num_threads()} threads, median (minimum) of {runs} runs in turns, threshold {THRESHOLD:g};"
+        f"\nspeed, {torch.get_num_threads()} threads, median (minimum) of {runs} alternating runs, "
+        f"threshold {THRESHOLD:g};"
     )
-    print("processor seconds count both cores and are steadier than the clock on a busy machine\n")
+    print("processor seconds are the sum over the cores and vary less on a busy machine\n")
     print(
-        "| image       | keypoints | SIFT s        | SURF s        | of it detecting | SURF / SIFT | in processor seconds |"
+        "| image       | keypoints | SIFT s        | SURF s        | of it detecting | SURF / SIFT "
+        "| in processor seconds |"
     )
     print("|---|--:|--:|--:|--:|--:|--:|")
     full = cv2.imread(str(data / REFERENCES["fountain_0000_half"]), cv2.IMREAD_GRAYSCALE)

@@ -1,5 +1,4 @@
-"""Pose errors of robust estimators on made-up scenes, one difficulty at a time, on the very same
-matches.
+"""Compare pose errors of robust estimators on synthetic scenes, with one factor varied at a time.
 
     python benchmarks/sweep.py [--trials 20] [--workers 2] [--out docs/images/sweep.png]
 
@@ -71,8 +70,8 @@ FACTORS = (
     Factor("off_axis_deg", "motion off the optical axis (°)", (0.0, 10.0, 30.0, 60.0, 90.0)),
     Factor("fov_deg", "field of view (°)", (20.0, 40.0, 60.0, 80.0, 100.0)),
 )
-# Okabe & Ito's colours, with a marker and a dash each, so that no estimator rests on its colour
-# alone.
+# Okabe & Ito's colours, each with its own marker and dash, so that estimators can be distinguished
+# without colour.
 STYLES = {
     "sfmkit": ("#D55E00", "o", "-"),
     "cv2 USAC_MAGSAC": ("#0072B2", "s", "--"),
@@ -91,8 +90,7 @@ class Matches:
 
 
 def make_matches(case: Case, seed: int) -> Matches:
-    """Camera 2 looks where camera 1 looks, at depth 1, give or take a few degrees; points are seen
-    by both."""
+    """Simulate matches of two cameras directed at about the same place at depth 1."""
     rng = np.random.default_rng(seed)
     f = WIDTH / 2 / math.tan(math.radians(case.fov_deg) / 2)
     K = np.array([[f, 0, (WIDTH - 1) / 2], [0, f, (HEIGHT - 1) / 2], [0, 0, 1]])
@@ -120,7 +118,7 @@ def make_matches(case: Case, seed: int) -> Matches:
 
 
 def _looking_along(axis: np.ndarray) -> np.ndarray:
-    """The least rotation that turns `axis` to the optical axis."""
+    """Compute the smallest rotation of `axis` to the optical axis."""
     axis = axis / np.linalg.norm(axis)
     turn = np.cross(axis, [0, 0, 1.0])
     sine = np.linalg.norm(turn)
@@ -161,8 +159,10 @@ def estimators() -> dict[str, Callable[..., RobustModel]]:
 
 
 def pose_error(fit: RobustModel, m: Matches) -> float:
-    """Degrees; 180 without a model. The pose of the four is chosen by the inliers in front, alike
-    for everyone."""
+    """Compute the pose error in degrees; 180 without a model.
+
+    For all estimators, the pose with the most inliers in front of the cameras is chosen.
+    """
     if fit.model is None or not bool(fit.inliers.any()):
         return 180.0
     xn1, xn2 = normalize(m.x1[fit.inliers], m.K), normalize(m.x2[fit.inliers], m.K)
@@ -171,7 +171,7 @@ def pose_error(fit: RobustModel, m: Matches) -> float:
 
 
 def errors_of(case: Case, trials: int) -> dict[str, np.ndarray]:
-    """Errors in degrees of every estimator, one a trial."""
+    """Compute the errors of every estimator in degrees, one per trial."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     errors: dict[str, list[float]] = {name: [] for name in STYLES}
@@ -193,8 +193,7 @@ def sweep(trials: int, workers: int) -> dict[Case, dict[str, np.ndarray]]:
 
 
 def whole_errors(case: Case, trials: int) -> np.ndarray:
-    """Errors of the library's default, which refines the estimate and asks whether the scene is a
-    plane."""
+    """Compute the errors of the whole estimation, with refinement and the test for a plane."""
     torch.set_num_threads(1)
     errors = []
     for seed in range(trials):

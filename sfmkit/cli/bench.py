@@ -83,7 +83,7 @@ def oxford(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Tables 2 to 5, Figures 7 to 10: homographies of the Oxford set. Resumes an interrupted run."""
+    """Tables 2 to 5, Figures 7 to 10: Oxford homographies. Resumes an interrupted run."""
     from ..evaluation.oxford import bench_oxford
     from ..evaluation.oxford_tables import oxford_result
 

@@ -72,9 +72,9 @@ def bench_oxford(
     Returns:
         Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
         rmse, corner_error_px, matches, inliers, seconds; rmse and corner_error_px are None where
-        the verdict was too little evidence), ``floor`` (the same for a fit to the fused matches that agree with the
-        truth within 3 px) and ``features`` (per operator: keypoints, matches, repeatability,
-        matching_score, mma, seconds).
+        the verdict was too little evidence), ``floor`` (the same for a fit to the fused matches
+        that agree with the truth within 3 px) and ``features`` (per operator: keypoints,
+        matches, repeatability, matching_score, mma, seconds).
 
     Raises:
         InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other

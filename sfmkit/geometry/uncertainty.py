@@ -1,5 +1,7 @@
-"""Uncertainty of a pose and its points: covariances from the Jacobians at the minimum, the noise from
-the residuals."""
+"""Uncertainty of a pose and its points.
+
+Covariances follow from the Jacobians at the minimum, the noise from the residuals.
+"""
 
 from __future__ import annotations
 

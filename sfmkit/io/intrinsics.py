@@ -183,8 +183,8 @@ def _belongs_to_stored(
             return True
         raise CameraError(
             f"{where} has its principal point at ({K[0, 2]:g}, {K[1, 2]:g}), the centre of an "
-            f"image of {h} x {w} pixels, and this one has {w} x {h}: one of them is rotated; give K "
-            "for this image"
+            f"image of {h} x {w} pixels, and this one has {w} x {h}: one of them is rotated; "
+            "give K for this image"
         )
     for size, layout in ((upright, "this image"), (stored, "the image as stored")):
         ratio = (K[:2, 2] + 0.5) / (np.array(size) / 2)

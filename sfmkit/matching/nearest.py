@@ -212,9 +212,9 @@ def _hamming_vectors(
 def _fastest_sign_dtype() -> torch.dtype:
     """Choose the dtype in which this processor multiplies matrices of ±1 faster.
 
-    int8 and float32 are both exact, so the choice never changes a result. It is measured, because torch's int8
-    product is several times faster with VNNI instructions and 20 times slower without them
-    (torch 2.15, AVX2), and torch has no public query for them.
+    int8 and float32 are both exact, so the choice never changes a result. It is measured, because
+    torch's int8 product is several times faster with VNNI instructions and 20 times slower without
+    them (torch 2.15, AVX2), and torch has no public query for them.
     """
     a, b = torch.ones((32, 256), dtype=torch.int8), torch.ones((2048, 256), dtype=torch.int8)
     seconds = {}

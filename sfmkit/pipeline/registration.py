@@ -48,8 +48,8 @@ _WORST_RELATIVE = 1.35  # descriptor distance over its limit at which the weight
 _LEAST_SIGMA_PX = 0.1  # lower bound of an operator's localisation error
 _LEAST_DISTANCE = 1e-6  # between different descriptors; rounding is larger
 _GRID = 8  # cells per side; matches in crowded cells get a smaller weight
-# the weight of a match is n^-CROWD for n matches in its cell: with 0 all matches count equally, with
-# 1 all cells
+# the weight of a match is n^-CROWD for n matches in its cell: with 0 all matches count equally,
+# with 1 all cells
 _CROWD = 0.5
 _LEAST_INLIERS = 10  # of an operator, to estimate its descriptor distances
 

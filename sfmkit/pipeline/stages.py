@@ -156,8 +156,8 @@ def choose_cameras(
         if cam.size_wh != image.size_wh:
             raise CameraError(
                 f"the camera of image {number} is for {cam.size_wh[0]} x {cam.size_wh[1]} pixels, "
-                f"the image has {image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it was "
-                "resized"
+                f"the image has {image.size_wh[0]} x {image.size_wh[1]}; use Camera.scaled if it "
+                "was resized"
             )
     return first, second
 

@@ -44,7 +44,8 @@ pre { background: var(--band); padding: .6rem .8rem; overflow-x: auto; border-ra
 /* A shadow at a side shows that the table continues there: at the table's end, a cover that scrolls
    with the table hides it. */
 .wide { overflow-x: auto; max-width: 100%; border: 1px solid var(--line); border-radius: 4px;
-  background: linear-gradient(to right, var(--paper) 40%, transparent) 0 0 / 3rem 100% no-repeat local,
+  background:
+  linear-gradient(to right, var(--paper) 40%, transparent) 0 0 / 3rem 100% no-repeat local,
   linear-gradient(to left, var(--paper) 40%, transparent) 100% 0 / 3rem 100% no-repeat local,
   linear-gradient(to right, var(--shade), transparent) 0 0 / 1rem 100% no-repeat scroll,
   linear-gradient(to left, var(--shade), transparent) 100% 0 / 1rem 100% no-repeat scroll; }

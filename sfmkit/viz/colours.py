@@ -33,7 +33,7 @@ _REST = ("#117733", "#88CCEE", "#DDCC77", "#CC6677", "#661100", "#6699CC")
 
 
 def operator_colour(name: str) -> str:
-    """Return ``#rrggbb`` of an operator; one outside the table has a colour derived from its name."""
+    """Return ``#rrggbb`` of an operator; a colour outside the table depends on the name."""
     return _NAMED.get(name) or _REST[crc32(name.encode()) % len(_REST)]
 
 

@@ -1,5 +1,4 @@
-"""Figures of a cloud's density: the coloured cloud, and the histogram with its Gaussian (the
-paper's Figures 13 to 17)."""
+"""Figures of a cloud's density, as the paper's Figures 13 to 17."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ _BRIGHTEST = 98
 
 
 def colours(neighbours: np.ndarray) -> np.ndarray:
-    """(N, 3) uint8 colours of (N,) counts, dark for few and bright for many."""
+    """Map (N,) counts to (N, 3) uint8 colours, dark for few and bright for many."""
     top = np.percentile(neighbours, _BRIGHTEST)
     low = neighbours.min()
     table = colormaps[COLOURS](np.arange(256), bytes=True)[:, :3]
@@ -28,14 +27,14 @@ def colours(neighbours: np.ndarray) -> np.ndarray:
 
 
 def density_figure(cloud: PointCloud, density: Density) -> Figure:
-    """The cloud from two sides, coloured by the number of neighbours."""
+    """Draw the cloud in two directions, coloured by the number of neighbours."""
     n = density.neighbours
     label = f"points within {density.radius:.3g}{unit_of(cloud)} (the point itself included)"
     return cloud_figure(cloud, colour=np.minimum(n, np.percentile(n, _BRIGHTEST)), label=label)
 
 
 def histogram_figure(density: Density, own: Histogram) -> Figure:
-    """Counts in classes of whole width, and as CloudCompare draws them, each with the Gaussian."""
+    """Draw histograms with integer class width and as in CloudCompare, with Gaussians."""
     figure = Figure(figsize=(12, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     theirs = histogram(density.neighbours, default_classes(len(density.neighbours)))

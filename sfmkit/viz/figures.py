@@ -35,7 +35,7 @@ MAX_DOTS = 200_000  # points of a cloud that a picture can show
 def photographs(
     *images: Any, titles: Sequence[str] = (), height: float = 4.0
 ) -> tuple[Figure, list[Axes]]:
-    """Photographs side by side, axes in pixels.
+    """Show photographs side by side, axes in pixels.
 
     Args:
         images: :class:`sfmkit.io.images.Image`, or (H, W) or (H, W, 3) arrays.
@@ -206,7 +206,7 @@ def _casing(width: float) -> list[Any]:
 def epipolar_figure(
     image1: Any, image2: Any, x1: Any, lines2: Any, x2: Any | None = None, lines1: Any | None = None
 ) -> Figure:
-    """Points of image 1 and their epipolar lines in image 2, in matching colours.
+    """Draw points of image 1 and their epipolar lines in image 2, in the same colours.
 
     Args:
         x1: (N, 2) pixels of image 1.
@@ -228,7 +228,7 @@ def epipolar_figure(
 
 
 def unit_of(cloud: PointCloud) -> str:
-    """The unit of a cloud's lengths, to be written after a number; empty if it is not known."""
+    """Return the unit of a cloud's lengths with a leading space; empty if unknown."""
     return " baselines" if cloud.operators else ""
 
 
