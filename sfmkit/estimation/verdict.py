@@ -230,7 +230,8 @@ def _compare(
     """The explanation with the smallest GRIC: depth, plane or rotation."""
     sigma = evidence["sigma_px"]
     e_H = squared_homography_sampson_distance(H, x1, x2)
-    # The matches of the plane count too where F misses them; see tests/estimation/test_verdict.py.
+    # F can miss matches of the plane. They count too: without them, the criterion would compare the
+    # models only where F fits.
     considered = inliers | (e_H < threshold_px**2)
     R0 = nearest_rotation(torch.linalg.solve(K2, H @ K1))
     R = fit_rotation(x1[considered], x2[considered], K1, K2, R0, scale_px=sigma)
