@@ -88,6 +88,38 @@ def error_auc(
     return [float(np.clip(1 - e / t, 0, None).mean()) for t in thresholds]
 
 
+def trapezoidal_auc(errors: Sequence[float], thresholds: Sequence[float]) -> list[float]:
+    """Area under the recall curve that joins the points (error of the k-th best pair, k / N).
+
+    The curve starts at (0, 0) and is constant after the last error below the threshold. It is
+    linear between the points, so the area is larger than that of :func:`error_auc`.
+
+    Args:
+        errors: One per pair; infinity for a pair without an estimate.
+        thresholds: Positive, in the unit of the errors.
+
+    Returns:
+        The area from 0 to each threshold, divided by the threshold, in [0, 1].
+
+    Raises:
+        InputError: There are no errors, one is NaN or negative, or a threshold is not positive.
+
+    Source: the evaluation of Sarlin, DeTone, Malisiewicz & Rabinovich, SuperGlue, CVPR 2020.
+    """
+    e = np.sort(np.asarray(errors, dtype=np.float64))
+    if not len(e) or not (e >= 0).all():
+        raise InputError("errors must be at least one number >= 0; infinity for a failed pair")
+    if not all(t > 0 for t in thresholds):
+        raise InputError(f"thresholds must be positive, not {list(thresholds)}")
+    areas = []
+    for t in thresholds:
+        below = e[e < t]
+        recall = np.arange(len(below) + 1) / len(e)
+        x, y = np.array([0.0, *below, t]), np.append(recall, recall[-1])
+        areas.append(float(np.trapezoid(y, x) / t))
+    return areas
+
+
 def repeatability(
     features1: Features, features2: Features, H_true: np.ndarray, radius_px: float = 3.0
 ) -> tuple[float, int]:

@@ -15,6 +15,7 @@ from sfmkit.metrics import (
     matching_score,
     mean_matching_accuracy,
     repeatability,
+    trapezoidal_auc,
 )
 from sfmkit.types import Features, Matches
 
@@ -55,6 +56,24 @@ def test_auc_of_a_step_curve():
         error_auc([])
     with pytest.raises(InputError):
         error_auc([np.nan])
+
+
+def test_trapezoidal_auc_is_the_integral_of_the_joined_points():
+    # (0, 0), (2, 1/3), (4, 2/3), then constant
+    assert trapezoidal_auc([4.0, 2.0, np.inf], (1, 3, 5)) == pytest.approx(
+        [0, (1 / 3 + 1 / 3) / 3, (1 / 3 + 1 + 2 / 3) / 5]
+    )
+    errors = np.random.default_rng(0).exponential(4, 40)
+    x = np.linspace(0, 10, 200_001)
+    below = np.sort(errors[errors < 10])
+    y = np.interp(x, [0, *below], np.arange(len(below) + 1) / 40)
+    assert trapezoidal_auc(errors, [10]) == pytest.approx([y.mean()], abs=1e-4)
+    assert trapezoidal_auc(errors, [10]) > error_auc(errors, [10])
+    for wrong in ([], [np.nan], [-1.0]):
+        with pytest.raises(InputError, match="errors"):
+            trapezoidal_auc(wrong, [1])
+    with pytest.raises(InputError, match="thresholds"):
+        trapezoidal_auc([1.0], [0])
 
 
 def test_repeatability_counts_each_keypoint_once_and_only_where_both_images_look():

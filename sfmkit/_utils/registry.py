@@ -148,16 +148,19 @@ class Registry(Generic[T]):
         """What identifies the plug-in's code: its distribution with version, and its source.
 
         Used in cache keys and reports. The digest covers every Python file of the module's
-        top-level package, or the module alone where it is a single file.
+        top-level package, or the module alone where it is a single file. A plug-in that reads
+        files, such as network weights, identifies them by a method ``provenance() -> str``.
         """
+        plugin = self._code(self[name])
+        data = getattr(plugin, "provenance", None)
+        files = f" {data()}" if data else ""
         if self.is_built_in(name):
-            data = getattr(self[name], "provenance", None)  # of files, such as network weights
-            return f"sfmkit {__version__}" + (f" {data()}" if data else "")
-        module, qualname = _place(self._code(self[name]))
+            return f"sfmkit {__version__}{files}"
+        module, qualname = _place(plugin)
         top = module.split(".")[0]
         distributions = packages_distributions().get(top, [])
         known = ", ".join(f"{d} {version(d)}" for d in sorted(set(distributions)))
-        return f"{known or module} {qualname} sha256:{_source_digest(top)}"
+        return f"{known or module} {qualname} sha256:{_source_digest(top)}{files}"
 
     def _code(self, plugin: T) -> Callable:
         """The callable whose source is the plug-in's; another than itself where it wraps one."""

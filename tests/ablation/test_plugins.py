@@ -14,6 +14,7 @@ from sfmkit.ablation.plugins import ESTIMATOR, PlugIn, load_plugins
 from sfmkit.errors import InputError
 from sfmkit.estimation import ESTIMATOR_PLUGINS, register_estimator
 from sfmkit.features import OPERATOR_PLUGINS, register_operator
+from sfmkit.features.weights import WEIGHTS
 
 NAMED = {
     "operators": ["example-corners", "orb"],
@@ -49,6 +50,7 @@ def estimates(table) -> list:
     return [(r["sequence"], r["status"], r["inliers"], r["R"], r["t"]) for r in rows]
 
 
+@pytest.mark.slow
 def test_plugins_of_a_package_run_in_local_workers(plugged, root, tmp_path):
     options = {"root": root, "workers": 1, "cache": tmp_path / "cache", "out": tmp_path / "out"}
     named = ablate("example-pairs", **NAMED, **options)
@@ -112,6 +114,50 @@ def test_a_change_of_the_source_changes_the_keys(tmp_path):
     assert len(before["features"] - after["features"]) == 2
     assert len(before["matches"] & after["matches"]) == 1
     assert not before["estimates"] & after["estimates"]
+
+
+@pytest.mark.parametrize("operator", ["aliked", "affine-aliked"])
+def test_other_weights_change_the_keys(tmp_path, monkeypatch, operator):
+    """Planning reads the weights' bytes only, so any files will do."""
+    data = pairs(tmp_path / "images", 1, 0)
+    folders = {name: tmp_path / name for name in ("first", "second")}
+    for folder in folders.values():
+        folder.mkdir()
+        for file in WEIGHTS.values():
+            (folder / file.kornia_name).write_bytes(b"the same")
+
+    def keys(folder: Path) -> tuple[set[str], set[str]]:
+        monkeypatch.setenv("SFMKIT_WEIGHTS", str(folder))
+        plan = make_plan(data, [operator], matchers="lightglue")
+        return set(plan.detections), set(plan.matchings)
+
+    first = keys(folders["first"])
+    assert keys(folders["second"]) == first
+    (folders["second"] / WEIGHTS["lightglue-aliked"].kornia_name).write_bytes(b"another")
+    features, matches = keys(folders["second"])
+    assert features == first[0]
+    assert not matches & first[1]
+    (folders["second"] / WEIGHTS["aliked-n16"].kornia_name).write_bytes(b"another")
+    assert not keys(folders["second"])[0] & first[0]
+
+
+def test_files_of_a_plugin_change_its_code():
+    class Network:
+        version = "1"
+
+        def __call__(self, image): ...
+
+        def provenance(self) -> str:
+            return f"weights {self.version}"
+
+    network = Network()
+    register_operator("network", network)
+    try:
+        assert OPERATOR_PLUGINS.provenance("network").endswith(" weights 1")
+        network.version = "2"
+        assert OPERATOR_PLUGINS.provenance("network").endswith(" weights 2")
+    finally:
+        OPERATOR_PLUGINS.unregister("network")
 
 
 def test_a_registered_function_works_where_it_can_be_imported(tmp_path, monkeypatch):

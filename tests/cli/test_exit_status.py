@@ -147,6 +147,7 @@ BAD_OPTIONS = [
     ("bench oxford", "--workers", ["0"]),
     ("bench fountain", "--max-size", ["0"]),
     ("bench uav", "--step", ["0", "-1"]),
+    ("bench pairs --data x", "--seeds", ["0"]),
 ]
 
 

@@ -1,0 +1,311 @@
+"""The benchmark of pairs: each operator alone, and all together, on the pairs of any data set.
+
+The pairs come from a data set, a pair list, a folder, a COLMAP model or a plug-in. A pair of the
+kind ``homography`` is registered, any other pair is a two-view geometry. Each image is searched
+once and each pair matched once per operator; the sets of operators and the seeds share the matches.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from .._utils.notices import collected
+from .._utils.progress import Progress
+from .._version import __version__
+from ..datasets import Pair, find_source
+from ..datasets.pair import HOMOGRAPHY
+from ..errors import InputError, SfmError
+from ..estimation import within_the_field
+from ..features import OPERATOR_PLUGINS
+from ..io.images import Image, read_image
+from ..metrics import check_point_error, corner_error
+from ..options import PRESETS, Options
+from ..pipeline.account import ALL
+from ..pipeline.provenance import used_plugins
+from ..pipeline.registration import register_matches
+from ..pipeline.stages import (
+    OPERATORS_OF_THE_PAPER,
+    FeaturePairs,
+    Stopwatch,
+    choose_cameras,
+    choose_options,
+    detect_all,
+    estimate_geometry,
+    fuse_all,
+    make_cloud,
+    match_all,
+    pose_errors,
+)
+from ..types import Camera, Matches, TwoView, Verdict
+from .rows import Row, RowStore, finite
+
+__all__ = ["FAILED", "RESULT", "bench_pairs", "find_pairs", "pose_error"]
+
+RESULT, FAILED = "result", "failed"
+
+Cameras = tuple[Camera, Camera]
+
+
+def bench_pairs(
+    data: Sequence[str | os.PathLike],
+    out: str | os.PathLike,
+    *,
+    root: str | os.PathLike | None = None,
+    operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
+    preset: str = "default",
+    seeds: int = 1,
+    max_size: int | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Run what is missing of the benchmark and return all of its rows.
+
+    Args:
+        data: What :func:`sfmkit.datasets.find_source` takes, at least one.
+        out: Folder for ``rows.jsonl``.
+        root: The folder of the data sets; for a list or a COLMAP model, of its images.
+        operators: At least one; each runs alone, and all together as ``multi``.
+        matchers: The matcher of all operators, or operator -> matcher; None for the preset's.
+        backend: The robust estimator of two-view geometries; None for the preset's.
+        preset: A name of :data:`sfmkit.options.PRESETS`.
+        seeds: Each estimate is made with seeds 0 ... seeds - 1.
+        max_size: Longest side in pixels at which features are searched; None for full size.
+        progress: Called with (stage, detail) and the fraction that is done.
+
+    Returns:
+        Rows of two kinds: ``result`` (pair, operator or ``multi``, seed -> verdict, matches,
+        inliers, points, errors, seconds per stage; an error is None where it is infinite or there
+        is no truth) and ``failed`` (pair, operator -> reason). Failed ones are not stored: they
+        run again when the run is resumed.
+
+    Raises:
+        InputError: Data, operators, matchers or an estimator that are unknown or cannot be read, no
+            seeds, or rows in `out` that come from other settings.
+    """
+    if seeds < 1:
+        raise InputError(f"seeds must be at least 1, not {seeds}")
+    if preset not in PRESETS:
+        raise InputError(f"unknown preset '{preset}'; there are {', '.join(PRESETS)}")
+    canonical = OPERATOR_PLUGINS.canonical
+    operators = tuple(dict.fromkeys(canonical(name) for name in operators))
+    if isinstance(matchers, Mapping):
+        matchers = {canonical(name): matcher for name, matcher in matchers.items()}
+    options = PRESETS[preset]
+    options = replace(options, detect=replace(options.detect, max_size=max_size))
+    if backend is not None:
+        options = replace(options, estimate=replace(options.estimate, backend=backend))
+    options = choose_options(options, operators, matchers=matchers)
+    pairs = find_pairs(data, root)
+    settings = {
+        "version": __version__,
+        "preset": preset,
+        "operators": list(operators),
+        "matchers": dict(matchers) if isinstance(matchers, Mapping) else matchers,
+        "plugins": used_plugins(operators, options),
+        "seeds": seeds,
+        "max_size": max_size,
+    }
+    store = RowStore(Path(out) / "rows.jsonl", settings)
+    stored: dict[str, list[Row]] = {}
+    for row in store.read():
+        stored.setdefault(row["digest"], []).append(row)
+    sets: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in operators]
+    if len(operators) > 1:
+        sets.append((ALL, operators))
+    rows: list[Row] = []
+    for done, pair in enumerate(pairs):
+        if progress is not None:
+            progress("pairs", str(pair), fraction=done / len(pairs))
+        digest = _digest(pair)
+        have = stored.get(digest, [])
+        missing = [s for s in sets if s[0] not in {row["operator"] for row in have}]
+        new = _evaluate(pair, missing, options, seeds) if missing else []
+        new = [{"kind": RESULT, "digest": digest, **_place(pair), **row} for row in new]
+        failed = [row | {"kind": FAILED} for row in new if "reason" in row]
+        new = [row for row in new if "reason" not in row]
+        if new:
+            store.append(new)
+        rows += [*have, *new, *failed]
+    if progress is not None:
+        progress("pairs", fraction=1.0)
+    return rows
+
+
+def find_pairs(
+    data: Sequence[str | os.PathLike], root: str | os.PathLike | None = None
+) -> list[Pair]:
+    """The pairs of all data sets, lists and folders that `data` names, without repetitions.
+
+    Raises:
+        InputError: One of them is unknown, missing or damaged, or there are no pairs at all.
+    """
+    found = [pair for item in data for pair in find_source(item, root).pairs()]
+    if not found:
+        raise InputError("there are no pairs to run on; name data, e.g. --data pairs.json")
+    return list({_digest(pair): pair for pair in found}.values())
+
+
+def pose_error(rotation_deg: float, translation_deg: float) -> float:
+    """The larger of both errors, degrees; infinite where one is unknown."""
+    error = max(rotation_deg, translation_deg)
+    return error if math.isfinite(rotation_deg + translation_deg) else math.inf
+
+
+def _place(pair: Pair) -> Row:
+    return {
+        "dataset": pair.dataset,
+        "sequence": pair.sequence,
+        "pair": pair.name,
+        "problem": pair.kind,
+        "has_truth": _has_truth(pair),
+    }
+
+
+def _has_truth(pair: Pair) -> bool:
+    if pair.kind == HOMOGRAPHY:
+        return pair.H is not None or pair.check_points is not None
+    return pair.R is not None
+
+
+def _digest(pair: Pair) -> str:
+    """What identifies the work on a pair: its names, the bytes of its images, cameras and truth."""
+    digest = hashlib.sha256()
+    for image in (pair.image1, pair.image2):
+        if isinstance(image, np.ndarray):
+            digest.update(f"{image.shape}".encode() + image.tobytes())
+        else:
+            digest.update(image.read_bytes() if image.is_file() else b"missing")
+    cameras = [
+        None if c is None else [c.model, c.size_wh, c.K.tolist(), c.distortion.tolist()]
+        for c in (pair.camera1, pair.camera2)
+    ]
+    truth = [None if a is None else a.tolist() for a in (pair.H, pair.R, pair.t, pair.check_points)]
+    digest.update(json.dumps([_place(pair), cameras, truth]).encode())
+    return digest.hexdigest()[:32]
+
+
+def _evaluate(
+    pair: Pair, sets: Sequence[tuple[str, tuple[str, ...]]], options: Options, seeds: int
+) -> list[Row]:
+    """The rows of some sets of operators: results, or the reason why there are none."""
+    with collected():
+        try:
+            images = (read_image(pair.image1), read_image(pair.image2))
+            cameras = None if pair.kind == HOMOGRAPHY else _cameras(pair, images)
+        except (SfmError, OSError) as error:
+            return [{"operator": name, "reason": str(error)} for name, _ in sets]
+        features: dict[str, FeaturePairs] = {}
+        matches: dict[str, dict[str, Matches]] = {}
+        seconds: dict[str, dict[str, float]] = {}
+        reasons: dict[str, str] = {}
+        for operator in dict.fromkeys(o for _, members in sets for o in members):
+            watch = Stopwatch()
+            try:
+                with watch.stage("detect"):
+                    features[operator] = detect_all(
+                        images, (operator,), options.detect, device=options.device
+                    )
+                with watch.stage("match"):
+                    matches[operator] = match_all(
+                        features[operator], options.match, device=options.device
+                    )
+            except SfmError as error:
+                reasons[operator] = str(error)
+            seconds[operator] = watch.seconds
+        rows: list[Row] = []
+        for name, members in sets:
+            try:
+                if failed := [reasons[o] for o in members if o in reasons]:
+                    raise InputError(failed[0])
+                mine = {o: features[o][o] for o in members}
+                theirs = {o: matches[o][o] for o in members}
+                spent = {s: sum(seconds[o][s] for o in members) for s in ("detect", "match")}
+                rows += [
+                    {"operator": name, "seed": seed}
+                    | _estimate(pair, images, cameras, mine, theirs, options, seed, spent)
+                    for seed in range(seeds)
+                ]
+            except SfmError as error:
+                rows = [row for row in rows if row["operator"] != name]
+                rows.append({"operator": name, "reason": str(error)})
+        return rows
+
+
+def _cameras(pair: Pair, images: tuple[Image, Image]) -> Cameras:
+    return choose_cameras(images, pair.camera1, pair.camera2)
+
+
+def _estimate(
+    pair: Pair,
+    images: tuple[Image, Image],
+    cameras: Cameras | None,
+    features: FeaturePairs,
+    matches: dict[str, Matches],
+    options: Options,
+    seed: int,
+    before: Mapping[str, float],
+) -> Row:
+    """One estimate: what :func:`sfmkit.register` or :func:`sfmkit.reconstruct` does from the
+    matches on."""
+    watch = Stopwatch(seconds=dict(before))
+    row: Row = {"points": None}
+    if cameras is None:
+        found = register_matches(features, matches, options=options, seed=seed, watch=watch)
+        corr, inliers, verdict = found.correspondences, found.inliers, found.verdict
+        H = None if found.H is None else found.H.numpy()
+        row |= _homography_errors(pair, H, images[0].size_wh)
+    else:
+        with watch.stage("fuse"):
+            corr = within_the_field(fuse_all(features, matches, options.fuse), *cameras)
+        view, adjustment = estimate_geometry(
+            corr, cameras, options.estimate, seed=seed, device=options.device, watch=watch
+        )
+        with watch.stage("triangulate"):
+            cloud = make_cloud(corr, view, images[0], options.triangulate, adjustment)
+        inliers, verdict = view.inliers, view.verdict
+        row |= {"points": 0 if cloud is None else len(cloud)} | _pose_errors(pair, view)
+    return row | {
+        "verdict": verdict.value,
+        "refused": verdict is Verdict.TOO_LITTLE,
+        "matches": len(corr),
+        "inliers": int(inliers.sum()),
+        "seconds": watch.seconds,
+    }
+
+
+def _homography_errors(pair: Pair, H: np.ndarray | None, size_wh: tuple[int, int]) -> Row:
+    """Check-point error where there are check points, corner error where there is a true H.
+
+    ``error`` is the former where both are known.
+    """
+    row: Row = {"corner_error_px": None, "check_error_px": None, "error": None}
+    if H is None:
+        return row
+    if pair.H is not None:
+        row["error"] = row["corner_error_px"] = finite(corner_error(H, pair.H, size_wh))
+    if pair.check_points is not None:
+        row["error"] = row["check_error_px"] = finite(check_point_error(H, pair.check_points))
+    return row
+
+
+def _pose_errors(pair: Pair, view: TwoView) -> Row:
+    """Errors in degrees; of a pair taken from one place, of the rotation only."""
+    if pair.R is None or pair.t is None:
+        return {"rotation_deg": None, "translation_deg": None, "error": None}
+    moved = bool(np.any(pair.t))
+    errors = pose_errors(view, pair.R, pair.t if moved else np.array([0.0, 0.0, 1.0]))
+    rotation, translation = errors["rotation_deg"], errors["translation_deg"]
+    return {
+        "rotation_deg": finite(rotation),
+        "translation_deg": finite(translation) if moved else None,
+        "error": finite(pose_error(rotation, translation if moved else 0.0)),
+    }

@@ -1,0 +1,297 @@
+"""Tables of the rows of the benchmark of pairs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from ..datasets.pair import HOMOGRAPHY, TWO_VIEW
+from ..metrics import error_auc, trapezoidal_auc
+from ..reports.result import Cell, Column, Result, ResultTable
+from .pairs import FAILED, RESULT, pose_error
+from .rows import Row
+
+__all__ = ["pairs_result"]
+
+AUC_DEG = (1.0, 5.0, 10.0, 20.0)
+SOLVED_DEG = (5.0, 10.0)
+AUC_PX = (1.0, 3.0, 5.0, 10.0)
+STAGES = ("detect", "match", "fuse", "estimate", "refine", "triangulate")
+
+
+def pairs_result(rows: Sequence[Row], command: str) -> Result:
+    """The tables of a benchmark's rows.
+
+    Args:
+        rows: Of :func:`sfmkit.evaluation.pairs.bench_pairs`.
+        command: What makes them again.
+    """
+    results = [row for row in rows if row["kind"] == RESULT]
+    poses = [row for row in results if row["problem"] == TWO_VIEW]
+    planes = [row for row in results if row["problem"] == HOMOGRAPHY]
+    failed = [row for row in rows if row["kind"] == FAILED]
+    tables: list[ResultTable] = []
+    if poses:
+        tables.append(_pose_table(poses, failed))
+        if any(row["has_truth"] for row in poses):
+            tables.append(_auc_table(poses))
+        tables.append(_pose_pairs(poses))
+    if planes:
+        tables += [_homography_table(planes, failed), _homography_pairs(planes)]
+    if results:
+        tables.append(_seconds_table(results))
+    if failed:
+        tables.append(_failed_table(failed))
+    datasets = ", ".join(dict.fromkeys(row["dataset"] for row in rows))
+    count = len({row["digest"] for row in rows})
+    return Result(
+        name="pairs",
+        title=f"Pairs of {datasets}: {count} {'pair' if count == 1 else 'pairs'}",
+        command=command,
+        tables=tuple(tables),
+        seeds=tuple(sorted({row["seed"] for row in results})),
+        notes=(
+            "A pair counts once per seed. An estimate is refused where the verdict is too little "
+            "evidence; its errors are infinite, and it counts in the medians, shares and areas. "
+            "Pairs that failed, for instance since an image cannot be read, are listed; no other "
+            "figure includes them.",
+        ),
+    )
+
+
+def _by_operator(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
+    for name in dict.fromkeys(row["operator"] for row in rows):
+        yield name, [row for row in rows if row["operator"] == name]
+
+
+def _by_pair(rows: Sequence[Row]) -> Iterable[list[Row]]:
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["digest"], row["operator"]), []).append(row)
+    return groups.values()
+
+
+def _errors(rows: Sequence[Row], field: str = "error") -> list[float]:
+    """The errors of the pairs with truth; infinite for those without an estimate."""
+    return [math.inf if row[field] is None else row[field] for row in rows if row["has_truth"]]
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    """The median; None for no values and for an infinite one."""
+    found = [value for value in values if value is not None]
+    median = float(np.median(found)) if found else math.inf
+    return median if math.isfinite(median) else None
+
+
+def _share(errors: Sequence[float], limit: float) -> float | None:
+    return float(np.mean(np.array(errors) <= limit)) if errors else None
+
+
+def _folded_error(row: Row) -> float:
+    """The larger of both errors, with the sign of the translation ignored."""
+    rotation, translation = row["rotation_deg"], row["translation_deg"]
+    if row["error"] is None or translation is None:
+        return math.inf if row["error"] is None else row["error"]
+    return pose_error(rotation, min(translation, 180 - translation))
+
+
+def _pose_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for name, mine in _by_operator(rows):
+        errors = _errors(mine)
+        moved = [r for r in mine if r["error"] is None or r["translation_deg"] is not None]
+        lines.append(
+            (
+                name,
+                len(mine),
+                len(errors),
+                sum(row["refused"] for row in mine),
+                sum(row["operator"] == name and row["problem"] == TWO_VIEW for row in failed),
+                _median(_errors(mine, "rotation_deg")),
+                _median(_errors(moved, "translation_deg")),
+                *(_share(errors, limit) for limit in SOLVED_DEG),
+                _median([row["inliers"] for row in mine]),
+                _median([row["points"] for row in mine]),
+            )
+        )
+    columns = (
+        Column("operator"),
+        Column("estimates", ","),
+        Column("with truth", ","),
+        Column("refused", ","),
+        Column("failed pairs", ","),
+        Column("rotation error, degrees", ".2f"),
+        Column("translation error, degrees", ".2f"),
+        *(Column(f"solved within {limit:g} degrees", ".1%") for limit in SOLVED_DEG),
+        Column("inliers", ",.0f"),
+        Column("points", ",.0f"),
+    )
+    return ResultTable(
+        "poses",
+        "Two-view geometries",
+        columns,
+        tuple(lines),
+        "Errors, inliers and points are medians; an empty cell stands for an infinite median. A "
+        "pair is solved where rotation and translation error are both within the limit.",
+    )
+
+
+def _auc_table(rows: Sequence[Row]) -> ResultTable:
+    measures: tuple[tuple[str, str, Callable], ...] = (
+        ("mean", "mean of max(0, 1 - e/T)", error_auc),
+        ("trapezoidal", "trapezoidal AUC (SuperGlue)", trapezoidal_auc),
+    )
+    lines: list[tuple[Cell, ...]] = []
+    for name, mine in _by_operator(rows):
+        if not (errors := _errors(mine)):
+            continue
+        folded = [_folded_error(row) for row in mine if row["has_truth"]]
+        for key, label, area in measures:
+            lines.append((name, label, *area(errors if key == "mean" else folded, AUC_DEG)))
+    columns = (
+        Column("operator"),
+        Column("measure"),
+        *(Column(f"T = {threshold:g} degrees", ".3f") for threshold in AUC_DEG),
+    )
+    return ResultTable(
+        "auc",
+        "Area under the recall curve of the pose error",
+        columns,
+        tuple(lines),
+        "e is the larger of rotation and translation error. The trapezoidal AUC, as in the "
+        "evaluation of SuperGlue, joins the points of the recall curve by lines and ignores the "
+        "sign of the translation; only compare values of the same measure.",
+    )
+
+
+def _pose_pairs(rows: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = [
+        (
+            *(group[0][field] for field in ("dataset", "sequence", "pair", "operator")),
+            ", ".join(dict.fromkeys(row["verdict"] for row in group)),
+            _median([row["matches"] for row in group]),
+            _median([row["inliers"] for row in group]),
+            _median([row["points"] for row in group]),
+            _median(_errors(group, "rotation_deg")),
+            _median(_errors(group, "translation_deg")),
+            _median([sum(row["seconds"].values()) for row in group]),
+        )
+        for group in _by_pair(rows)
+    ]
+    columns = (
+        *map(Column, ("data set", "sequence", "pair", "operator", "verdict")),
+        Column("matches", ",.0f"),
+        Column("inliers", ",.0f"),
+        Column("points", ",.0f"),
+        Column("rotation error, degrees", ".3f"),
+        Column("translation error, degrees", ".3f"),
+        Column("seconds", ",.2f"),
+    )
+    return ResultTable(
+        "pose-pairs",
+        "Two-view geometries: every pair, medians over the seeds",
+        columns,
+        tuple(lines),
+    )
+
+
+def _homography_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for name, mine in _by_operator(rows):
+        errors = _errors(mine)
+        areas: Sequence[float | None] = (
+            error_auc(errors, AUC_PX) if errors else [None] * len(AUC_PX)
+        )
+        lines.append(
+            (
+                name,
+                len(mine),
+                len(errors),
+                sum(row["refused"] for row in mine),
+                sum(row["operator"] == name and row["problem"] == HOMOGRAPHY for row in failed),
+                _median([row["corner_error_px"] for row in mine]),
+                _median([row["check_error_px"] for row in mine]),
+                _median(errors),
+                *areas,
+                _median([row["inliers"] for row in mine]),
+            )
+        )
+    columns = (
+        Column("operator"),
+        Column("estimates", ","),
+        Column("with truth", ","),
+        Column("refused", ","),
+        Column("failed pairs", ","),
+        Column("corner error, px", ",.2f"),
+        Column("check-point error, px", ",.2f"),
+        Column("error, px", ",.2f"),
+        *(Column(f"mean of max(0, 1 - e/T), T = {t:g} px", ".3f") for t in AUC_PX),
+        Column("inliers", ",.0f"),
+    )
+    return ResultTable(
+        "homographies",
+        "Homographies",
+        columns,
+        tuple(lines),
+        "Corner and check-point errors are medians over the estimates that have one. The error e "
+        "of a pair is the check-point error where there are check points, else the corner error, "
+        "and infinite where there is no estimate.",
+    )
+
+
+def _homography_pairs(rows: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = [
+        (
+            *(group[0][field] for field in ("dataset", "sequence", "pair", "operator")),
+            ", ".join(dict.fromkeys(row["verdict"] for row in group)),
+            _median([row["matches"] for row in group]),
+            _median([row["inliers"] for row in group]),
+            _median([row["corner_error_px"] for row in group]),
+            _median([row["check_error_px"] for row in group]),
+            _median([sum(row["seconds"].values()) for row in group]),
+        )
+        for group in _by_pair(rows)
+    ]
+    columns = (
+        *map(Column, ("data set", "sequence", "pair", "operator", "verdict")),
+        Column("matches", ",.0f"),
+        Column("inliers", ",.0f"),
+        Column("corner error, px", ",.2f"),
+        Column("check-point error, px", ",.2f"),
+        Column("seconds", ",.2f"),
+    )
+    return ResultTable(
+        "homography-pairs",
+        "Homographies: every pair, medians over the seeds",
+        columns,
+        tuple(lines),
+    )
+
+
+def _seconds_table(rows: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for name, mine in _by_operator(rows):
+        stages = [_median([row["seconds"].get(stage) for row in mine]) for stage in STAGES]
+        total = _median([sum(row["seconds"].values()) for row in mine])
+        lines.append((name, *stages, total))
+    columns = (Column("operator"), *(Column(stage, ",.3f") for stage in (*STAGES, "total")))
+    return ResultTable(
+        "seconds",
+        "Seconds per pair and stage, medians",
+        columns,
+        tuple(lines),
+        "Detection and matching were run once per operator and pair; those of all operators "
+        "together are sums. Reading the images is not included.",
+    )
+
+
+def _failed_table(rows: Sequence[Row]) -> ResultTable:
+    fields = ("dataset", "sequence", "pair", "operator", "reason")
+    return ResultTable(
+        "failed",
+        "Pairs that failed",
+        tuple(map(Column, ("data set", "sequence", "pair", "operator", "reason"))),
+        tuple(tuple(row[field] for field in fields) for row in rows),
+    )
