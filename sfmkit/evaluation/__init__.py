@@ -1,0 +1,11 @@
+"""Benchmarks: the experiments of the paper, and the pairs of any data set."""
+
+from __future__ import annotations
+
+from .density_by_operator import density_report
+from .fountain import bench_fountain
+from .oxford import bench_oxford
+from .pairs import bench_pairs
+from .uav import bench_uav
+
+__all__ = ["bench_fountain", "bench_oxford", "bench_pairs", "bench_uav", "density_report"]
