@@ -1,4 +1,4 @@
-"""The notebooks: stored without outputs, short, executable without a network, with solutions."""
+"""The notebooks: stored without outputs, short, executable without a network, recorded, solved."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from rerun.chunk import RrdReader
 
 from sfmkit import teaching
+from sfmkit.recording import read_recording
 from sfmkit.teaching import checking
 from sfmkit.teaching.exercises import EXERCISES
 
@@ -24,11 +26,52 @@ SECONDS = 60  # for one notebook on two idle cores
 WIDEST = 140  # characters of a line of code; a cell shows about a hundred
 
 
+IMAGE1, IMAGE2 = "/world/cam1/image", "/world/cam2/image"
+PAPER = ("surf", "orb", "fast-brief")
+WHOLE_RUN = [f"{IMAGE1}/photo", "/world/points/photograph", "/world/cam2", "/verdict", "/story"]
+# entities in the recording of each notebook
+LOGGED = {
+    "01_features": [
+        f"{image}/{what}/{name}"
+        for image in (IMAGE1, IMAGE2)
+        for what in ("keypoints", "regions")
+        for name in PAPER
+    ],
+    "03_homography": [
+        "/plane/world/cam1/image/homography",
+        "/plane/world/cam2/image/homography",
+        "/plane/matches/inliers/orb",
+        "/plane/matches/outliers/orb",
+    ],
+    "04_epipolar_geometry": [
+        f"{image}/{what}"
+        for image in (IMAGE1, IMAGE2)
+        for what in ("epipolar/lines", "epipolar/points", "epipole")
+    ],
+    "07_differentiable_geometry": [
+        "/world/ellipsoids",
+        "/world/refinement/frustum",
+        "/refinement/cost",
+    ],
+    "09_your_own_photographs": WHOLE_RUN,
+    "10_robust_estimation": [
+        "/estimation/inliers",
+        f"{IMAGE1}/epipolar/lines",
+        f"{IMAGE2}/epipolar/lines",
+    ],
+}
+
+
 def last_statement_shows(source: str) -> bool:
-    """Whether a cell ends with an expression or prints, so that it must have an output."""
+    """Whether a cell ends with an expression or prints, so that it must have an output.
+
+    A call of a log function has no output.
+    """
     code = "\n".join("" if line.startswith("%") else line for line in source.splitlines())
     body = ast.parse(code).body
-    return bool(body) and (isinstance(body[-1], ast.Expr) or "print(" in code)
+    last = ast.unparse(body[-1]) if body else ""
+    shows = bool(body) and isinstance(body[-1], ast.Expr) and not last.startswith("log_")
+    return shows or "print(" in code
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
@@ -100,8 +143,14 @@ def without_data(monkeypatch, empty: Path) -> None:
     monkeypatch.setenv("RERUN_NOTEBOOK_ASSET", "serve-local")
 
 
-def run(notebook) -> float:
-    """Run a notebook and return the smaller of the wall-clock and the processor seconds.
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Folder in which all notebooks run, because their recordings are merged."""
+    return tmp_path_factory.mktemp("lessons")
+
+
+def run(notebook, folder: Path) -> float:
+    """Run a notebook in a folder; return the smaller of wall-clock and processor seconds.
 
     On an idle machine the wall clock is smaller. On a busy machine it measures the other programs,
     so the processor time is used.
@@ -114,9 +163,18 @@ def run(notebook) -> float:
 
     start, before = time.perf_counter(), used()
     NotebookClient(
-        notebook, timeout=SECONDS_PER_CELL, resources={"metadata": {"path": str(FOLDER)}}
+        notebook, timeout=SECONDS_PER_CELL, resources={"metadata": {"path": str(folder)}}
     ).execute()
     return min(time.perf_counter() - start, used() - before)
+
+
+def assert_the_recording_has_its_entities(name: str, notebook, folder: Path) -> None:
+    """Compare the .rrd file of an executed notebook with what the notebook must log."""
+    recording = read_recording(folder / "out" / f"{name}.rrd")
+    missing = set(LOGGED[name]) - set(recording.entities)
+    assert not missing, f"{missing} of {recording.entities}"
+    printed = "".join(o.text for c in notebook.cells for o in c.get("outputs", []) if "text" in o)
+    assert f"sfmkit view out/{name}.rrd" in printed
 
 
 def assert_every_cell_has_its_output(notebook) -> None:
@@ -134,10 +192,36 @@ def assert_every_cell_has_its_output(notebook) -> None:
 
 @pytest.mark.notebook
 @pytest.mark.timeout(600)
-def test_a_notebook_runs_from_top_to_bottom(notebook, monkeypatch, tmp_path):
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_from_top_to_bottom_and_records_its_stage(
+    path, monkeypatch, tmp_path, folder
+):
     without_data(monkeypatch, tmp_path)
-    assert run(notebook) < SECONDS
+    notebook = nbformat.read(path, as_version=4)
+    assert run(notebook, folder) < SECONDS
     assert_every_cell_has_its_output(notebook)
+    if path.stem in LOGGED:
+        assert_the_recording_has_its_entities(path.stem, notebook, folder)
+
+
+@pytest.mark.notebook
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_recordings_of_one_stream_are_merged(monkeypatch, tmp_path, folder):
+    without_data(monkeypatch, tmp_path)
+    lessons = ["01_features", "03_homography", "04_epipolar_geometry", "07_differentiable_geometry"]
+    for name in lessons:
+        if not (folder / "out" / f"{name}.rrd").exists():
+            run(nbformat.read(FOLDER / f"{name}.ipynb", as_version=4), folder)
+    story = read_recording(folder / "out" / "story.rrd")
+    assert not {e for name in lessons for e in LOGGED[name]} - set(story.entities)
+    assert len(list(RrdReader(story.path).recordings())) == 1
+    sizes = {
+        tuple(item.values[0])
+        for item in story.logged("/world/cam1/image")
+        if item.component == "Pinhole:resolution"
+    }
+    assert len(sizes) == 1, "all notebooks use photographs of one size"
 
 
 @pytest.mark.notebook
@@ -149,7 +233,7 @@ def test_a_notebook_runs_on_the_real_photographs(notebook, monkeypatch, tmp_path
         pytest.skip("the notebook does not use photographs of a data set")
     without_data(monkeypatch, tmp_path)
     monkeypatch.setenv("SFMKIT_DATA", str(data_dir))
-    assert run(notebook) < SECONDS
+    assert run(notebook, tmp_path) < SECONDS
     assert_every_cell_has_its_output(notebook)
 
 
@@ -169,7 +253,7 @@ def test_cells_can_be_rerun_in_another_order(name, monkeypatch, tmp_path):
             "assert len(result.cloud) == int(result.two_view.inliers.sum())"
         )
         again.cells.append(probe)
-    run(again)
+    run(again, tmp_path)
     assert_every_cell_has_its_output(again)
 
 
@@ -182,4 +266,4 @@ def test_a_cell_that_runs_too_early_names_the_missing_variable(monkeypatch, tmp_
     shown = next(cell for cell in notebook.cells if "result.two_view.verdict" in cell.source)
     notebook.cells = [shown]
     with pytest.raises(CellExecutionError, match="name 'result' is not defined"):
-        run(notebook)
+        run(notebook, tmp_path)
