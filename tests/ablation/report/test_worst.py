@@ -6,7 +6,7 @@ from __future__ import annotations
 import shutil
 
 import numpy as np
-import pyarrow.parquet as pq
+import pyarrow as pa
 import pytest
 from click.testing import CliRunner
 
@@ -16,6 +16,7 @@ from sfmkit.ablation.report.findings import analyse
 from sfmkit.ablation.report.scores import score
 from sfmkit.ablation.report.worst import Case, choose_worst, describe, run_again
 from sfmkit.ablation.report.worst_recording import save_worst
+from sfmkit.ablation.table import write_table
 from sfmkit.cli import main
 from sfmkit.datasets import pairs
 from sfmkit.errors import InputError
@@ -131,9 +132,7 @@ def test_runs_that_broke_cannot_be_shown(sweep, findings, tmp_path):
     shutil.copytree(sweep, copy)
     table = read_table(copy).data
     column = table.schema.get_field_index("status")
-    import pyarrow as pa
-
     broken = table.set_column(column, "status", pa.array(["failed"] * len(table)))
-    pq.write_table(broken, copy / "ablation.parquet")
+    write_table(broken, copy / "ablation.parquet")
     with pytest.raises(InputError, match="no run to show"):
         choose_worst(copy, findings, 1)
