@@ -67,12 +67,14 @@ class Group(click.Group):
             status = BAD_INPUT
         except BrokenPipeError:
             status = OK  # the reader of standard output has closed it
-        except KeyboardInterrupt as interrupt:
-            click.echo(f"{signals.describe(interrupt)}; nothing was written", err=True)
-            status = signals.status_of(interrupt)
-        except Exception as error:
-            click.echo(describe_crash(error), err=True)
-            status = CRASHED
+        except (KeyboardInterrupt, Exception) as error:
+            interrupt = signals.cause_of(error)
+            if interrupt is not None:
+                click.echo(f"{signals.describe(interrupt)}; nothing was written", err=True)
+                status = signals.status_of(interrupt)
+            else:
+                click.echo(describe_crash(error), err=True)
+                status = CRASHED
         ctx.exit(status)
 
     def main(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["Terminated", "describe", "raised_as_exceptions", "status_of"]
+__all__ = ["Terminated", "cause_of", "describe", "raised_as_exceptions", "status_of"]
 
 
 class Terminated(KeyboardInterrupt):
@@ -28,6 +28,17 @@ class Terminated(KeyboardInterrupt):
 def status_of(interrupt: KeyboardInterrupt) -> int:
     """The exit status 128 + n for the signal n."""
     return 128 + (interrupt.signal if isinstance(interrupt, Terminated) else signal.SIGINT)
+
+
+def cause_of(error: BaseException) -> KeyboardInterrupt | None:
+    """Return the interrupt that caused an exception.
+
+    An extension module that is interrupted while it is imported raises ImportError.
+    """
+    seen: BaseException | None = error
+    while seen is not None and not isinstance(seen, KeyboardInterrupt):
+        seen = seen.__cause__ or seen.__context__
+    return seen
 
 
 def describe(interrupt: KeyboardInterrupt) -> str:

@@ -134,7 +134,7 @@ def inverse_ratio(square: Tensor, s: Tensor, ratio: Tensor) -> Tensor:
     s_at = torch.lerp(s.gather(-1, k - 1), s.gather(-1, k), share)
     table = torch.where(at > 0, s_at / at.clamp_min(1e-300), 1.0).clamp_min(0).sqrt()
     where = (square / end * _CELLS).clamp(max=_CELLS)
-    cell = where.long().clamp(max=_CELLS - 1)
+    cell = where.long().clamp(0, _CELLS - 1)  # NaN becomes a negative number
     first, second = table.gather(-1, cell), table.gather(-1, cell + 1)
     return torch.lerp(first, second, where - cell)
 

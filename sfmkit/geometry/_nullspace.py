@@ -7,6 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ..errors import DegenerateGeometryError
+
 
 class _Detached(torch.autograd.Function):
     """Run a batched function outside of differentiation, under torch.func.vmap as well.
@@ -50,6 +52,20 @@ def detached(function: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> t
     return _Detached.apply(function, *(x.detach() for x in tensors))
 
 
+def eigh(M: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the eigenvalues and eigenvectors of symmetric (*B, n, n) matrices.
+
+    Raises:
+        DegenerateGeometryError: NaN or infinite entries, where LAPACK does not converge.
+    """
+    try:
+        return torch.linalg.eigh(M)
+    except torch.linalg.LinAlgError:
+        raise DegenerateGeometryError(
+            "the squares of these numbers or weights are outside the range of floats; scale them"
+        ) from None
+
+
 class _SmallestSingularVector(torch.autograd.Function):
     """The unit minimiser v of ``Σ w (A v)²``, differentiated by the implicit function theorem.
 
@@ -61,7 +77,7 @@ class _SmallestSingularVector(torch.autograd.Function):
 
     @staticmethod
     def forward(A: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:  # type: ignore[override]
-        values, vectors = torch.linalg.eigh(A.mT @ (w[..., None] * A))
+        values, vectors = eigh(A.mT @ (w[..., None] * A))
         v, rest = vectors[..., 0], vectors[..., 1:]
         gaps = values[..., 1:] - values[..., :1]
         floor = torch.finfo(A.dtype).eps * values[..., -1:]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -99,6 +100,40 @@ def check_points(
         raise InputError("weights must not be negative")
 
 
+def check_shapes(shape: tuple[int, ...], like: Tensor | None = None, **tensors: Tensor) -> None:
+    """Raise InputError unless all are tensors (*B, *shape) of one float type on one device.
+
+    The batches must fit each other. Reads no values, so that inner loops can afford it. `like`,
+    points (*B, N, D) or matrices (*B, D, D), must have that type, device and batch too.
+    """
+    check_kind(points=like, **tensors)
+    batches = {} if like is None else {"points": like.shape[:-2]}
+    for name, a in tensors.items():
+        if a.shape[-len(shape) :] != shape:
+            raise InputError(
+                f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(a.shape)}"
+            )
+        batches[name] = a.shape[: -len(shape)]
+    check_batches(**batches)
+
+
+def check_scale(**scales: float) -> None:
+    """Raise InputError unless all are positive, and their powers are in the range of floats."""
+    for name, scale in scales.items():
+        if not 1e-100 <= scale <= 1e100:
+            raise InputError(f"{name} must be positive, from 1e-100 to 1e100, not {scale}")
+
+
+def check_batches(**batches: Sequence[int]) -> None:
+    """Raise InputError unless these shapes of batches can be broadcast against each other."""
+    if len(set(batches.values())) > 1:
+        try:
+            torch.broadcast_shapes(*batches.values())
+        except RuntimeError:
+            shapes = ", ".join(f"{name} {tuple(shape)}" for name, shape in batches.items())
+            raise InputError(f"the batch dimensions do not fit each other: {shapes}") from None
+
+
 def check_matrices(
     like: Tensor | None = None, *, shape: tuple[int, ...] = (3, 3), **matrices: Tensor
 ) -> None:
@@ -106,12 +141,7 @@ def check_matrices(
 
     `like`, where given, must have that dtype and device too.
     """
-    check_kind(points=like, **matrices)
-    for name, M in matrices.items():
-        if tuple(M.shape[-len(shape) :]) != shape:
-            raise InputError(
-                f"{name} must have shape (*B, {', '.join(map(str, shape))}), not {tuple(M.shape)}"
-            )
+    check_shapes(shape, like, **matrices)
     check_values(**matrices)
 
 

@@ -9,12 +9,15 @@ from kornia.geometry.conversions import (
 )
 from torch import Tensor
 
+from ..errors import InputError
 from . import kernels
 from .checks import check_intrinsics, check_points
 
 
 def to_homogeneous(x: Tensor) -> Tensor:
     """Append a 1 to points: (*B, N, D) -> (*B, N, D + 1). Computed by kornia."""
+    if x.ndim < 2:
+        raise InputError(f"points must have shape (*B, N, D), not {tuple(x.shape)}")
     return convert_points_to_homogeneous(x)
 
 
@@ -24,6 +27,8 @@ def from_homogeneous(xh: Tensor) -> Tensor:
     Not kornia's ``convert_points_from_homogeneous`` (0.9.0): it returns the numerators unchanged
     where ``|w| <= 1e-8``, so (2, 4, 0) becomes the finite point (2, 4).
     """
+    if xh.ndim < 1:
+        raise InputError("points must have shape (*, D + 1), not ()")
     return xh[..., :-1] / xh[..., -1:]
 
 

@@ -8,9 +8,10 @@ from torch import Tensor
 
 from ..errors import DegenerateGeometryError, InputError
 from . import kernels
-from ._nullspace import detached, smallest_singular_vector
+from ._nullspace import detached, eigh, smallest_singular_vector
 from .checks import (
     _traced,
+    check_batches,
     check_determined,
     check_intrinsics,
     check_invertible,
@@ -176,6 +177,14 @@ def homography_from_pose(
     check_intrinsics(R, K1=K1, K2=K2)
     d = torch.as_tensor(d, dtype=R.dtype, device=R.device)
     check_values(d=d)
+    check_batches(
+        R=R.shape[:-2],
+        t=t.shape[:-1],
+        n=n.shape[:-1],
+        d=d.shape,
+        K1=K1.shape[:-2],
+        K2=K2.shape[:-2],
+    )
     if not _traced() and bool((d == 0).any()):
         raise DegenerateGeometryError("d is zero: the plane passes through camera 1")
     H = R + t[..., :, None] * (n / d[..., None])[..., None, :]
@@ -237,7 +246,7 @@ def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     The derivative is that of the right side minus the left with respect to (ω, t, turn of n,
     log scale).
     """
-    values, V = torch.linalg.eigh(A.mT @ A)
+    values, V = eigh(A.mT @ A)
     middle = values[..., 1]
     scale = (
         torch.where(torch.linalg.det(A) < 0, -1.0, 1.0)

@@ -14,10 +14,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..errors import InputError
 from ._implicit import Tensors, attach_derivatives, is_differentiated, solve_dense
 from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquardt
-from .checks import check_matrices, check_points
+from .checks import check_matrices, check_points, check_scale
 from .coordinates import to_homogeneous
 from .kernels import hartley
 from .losses import LossTerms, loss_terms
@@ -60,19 +59,15 @@ def refine_homography(
         it is the given H, scaled, with derivative zero.
 
     Raises:
-        InputError: shapes, dtypes, NaN, a threshold that is not positive.
+        InputError: shapes, dtypes, NaN, a threshold outside 1e-100 to 1e100.
 
     Source: Hartley & Zisserman 4.2.6 (distance), A6.2 (iteration); the loss: Barath et al.,
     MAGSAC++, CVPR 2020.
     """
     check_points(0, weights, x1=x1, x2=x2)
     check_matrices(x1, H=H)
-    if not threshold_px > 0:
-        raise InputError(f"threshold_px must be positive pixels, not {threshold_px}")
-    try:
-        batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
-    except RuntimeError:
-        raise InputError("the batch shapes of H and x1 do not fit together") from None
+    check_scale(threshold_px=threshold_px)
+    batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
     dtype = x1.dtype
     H, x1, x2 = H.detach().double().expand(*batch, 3, 3), x1.double(), x2.double()
     w = torch.ones_like(x1[..., 0]) if weights is None else weights.double()

@@ -4,8 +4,8 @@ A small change of the pose is five numbers ``(omega, b)``: ``R <- exp(omega) R``
 rotation vector in radians, and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent
 to the sphere at t.
 
-The functions here run in the inner loops of the refinements and check nothing: NaN in gives NaN
-out.
+The functions here run in the inner loops of the refinements and check shapes and types only: NaN in
+gives NaN out.
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ from kornia.geometry.conversions import axis_angle_to_rotation_matrix
 from kornia.geometry.epipolar import cross_product_matrix
 from torch import Tensor
 
+from .checks import check_shapes
+
 _SERIES = 1e-3  # below this squared angle, Taylor series to the 8th power are exact in float64
 
 
 def hat(w: Tensor) -> Tensor:
     """Return ``[w]x (*B, 3, 3)`` with ``[w]x v = w x v``, for w ``(*B, 3)``. Computed by kornia."""
+    check_shapes((3,), w=w)
     return cross_product_matrix(w)
 
 
@@ -30,6 +33,7 @@ def so3_exp(w: Tensor) -> Tensor:
 
     Source: Rodrigues' formula; Hartley and Zisserman, 2nd ed., appendix A4.3.2.
     """
+    check_shapes((3,), w=w)
     return axis_angle_to_rotation_matrix(w)
 
 
@@ -46,6 +50,7 @@ def so3_log(R: Tensor) -> Tensor:
     Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, JGCD 2000
     (the matrix).
     """
+    check_shapes((3, 3), R=R)
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in R.unbind(-2))
     outer = torch.stack(
         (
@@ -81,6 +86,7 @@ def tangent_basis(t: Tensor) -> Tensor:
     Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t
     to an axis).
     """
+    check_shapes((3,), t=t)
     t = t / t.norm(dim=-1, keepdim=True)
     axis = (torch.arange(3, device=t.device) == t.detach().abs().argmin(-1, keepdim=True)).to(
         t.dtype
@@ -95,6 +101,7 @@ def sphere_exp(t: Tensor, v: Tensor) -> Tensor:
 
     t and v are ``(*B, 3)``. kornia 0.9.0 has no counterpart.
     """
+    check_shapes((3,), t=t, v=v)
     square = (v * v).sum(-1, keepdim=True)
     small = square < _SERIES
     angle = torch.where(small, 1.0, square).sqrt()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .checks import check_shapes
+
 
 def clip_lines(
     lines: Tensor, size_wh: tuple[int, int], margin: float = 0.0
@@ -21,7 +23,11 @@ def clip_lines(
     Returns:
         segments (*B, N, 2, 2), the two ends on the border, and crosses (*B, N) bool, whether a line
         has a part of positive length in the area. Segments of the other lines are not meaningful.
+
+    Raises:
+        InputError: lines of another shape or type.
     """
+    check_shapes((3,), lines=lines)
     low = lines.new_tensor([-0.5 - margin, -0.5 - margin])
     high = lines.new_tensor(size_wh) - 0.5 + margin
     normal, c = lines[..., :2], lines[..., 2:]

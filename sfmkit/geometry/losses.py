@@ -1,7 +1,7 @@
 """Robust losses of squared residuals, and MAGSAC++'s marginal loss, which needs no noise level.
 
 kornia 0.9.0 has none of these: its losses are means over images, without curvature or scale. The
-functions run in the inner loops of the refinements and do not check their input: a NaN residual
+functions run in the inner loops of the refinements and check types and scales only: a NaN residual
 gives a NaN value.
 
 The marginal loss. A match's residual r is taken to be the length of a four-vector of Gaussian noise
@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
+from .checks import check_kind, check_scale
 
 Loss = Literal["squared", "huber", "cauchy", "marginal"]
 
@@ -58,13 +59,15 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
             ``squared`` ignores it.
 
     Raises:
-        InputError: unknown loss, or a scale that is not positive.
+        InputError: unknown loss, residuals that are not floats, or a scale outside 1e-100 to 1e100,
+            whose powers leave the range of floats.
     """
-    if loss != "squared" and not scale > 0:
-        raise InputError(f"scale must be positive, not {scale}")
-    k2 = scale**2
+    check_kind(square=square)
+    if loss != "squared":
+        check_scale(scale=scale)
     if loss == "squared":
         return LossTerms(square, torch.ones_like(square), torch.zeros_like(square))
+    k2 = scale**2
     if loss == "huber":
         root = square.clamp(min=k2).sqrt()
         outside = square > k2
@@ -93,7 +96,12 @@ def marginal_score(square: Tensor, threshold: float) -> Tensor:
     """Return the score of squared residuals, one minus the marginal loss.
 
     1 at zero, 0 from the threshold on.
+
+    Raises:
+        InputError: residuals that are not floats, or a threshold outside 1e-100 to 1e100.
     """
+    check_kind(square=square)
+    check_scale(threshold=threshold)
     return 1 - _marginal_loss(*_incomplete_gamma(square * (_U / threshold**2))) / _MAX_LOSS
 
 

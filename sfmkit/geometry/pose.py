@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ._rays import components, cross, dot, image_ray, rotated_ray
-from .checks import _traced, check_matrices, check_points
+from .checks import _traced, check_kind, check_matrices, check_points, check_shapes
 
 
 def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
@@ -67,11 +67,17 @@ def choose_pose(
     Raises:
         InputError: as :func:`cheirality`.
     """
+    check_points(weights=weights, xn1=xn1, xn2=xn2)
+    check_kind(R4=R4, t4=t4)
+    count = R4.shape[-3] if R4.ndim > 2 else 1
+    if count == 0:
+        raise InputError("R4 holds no candidates")
+    check_shapes((count, 3, 3), xn1, R4=R4)
+    check_shapes((count, 3), xn1, t4=t4)
     in_front = cheirality(xn1[..., None, :, :], xn2[..., None, :, :], R4, t4)
     if weights is None:
         counts = in_front.sum(-1)
     else:
-        check_points(weights=weights, xn1=xn1)
         counts = torch.where(in_front, weights[..., None, :], 0.0).sum(-1)
     best = counts.argmax(-1)[..., None]
     batch = best.shape[:-1]
@@ -179,22 +185,23 @@ def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
         ``(*B, len(thresholds))`` in [0, 1].
 
     Raises:
-        InputError: no errors, or a threshold that is not positive.
+        InputError: no errors, errors that are not floats, or a threshold that is not positive.
     """
+    check_kind(errors_deg=errors_deg)
     if errors_deg.ndim < 1 or errors_deg.shape[-1] == 0:
         raise InputError("errors_deg is empty: the area needs at least one pair")
-    if not all(t > 0 for t in thresholds):
-        raise InputError(f"thresholds must be positive degrees, not {list(thresholds)}")
+    thr = torch.as_tensor(thresholds, dtype=errors_deg.dtype, device=errors_deg.device)
+    if thr.ndim != 1 or not bool((thr > 0).all()):
+        raise InputError(f"thresholds must be a list of positive degrees, not {thresholds}")
     failed = ~torch.isfinite(errors_deg)
     e = torch.where(failed, torch.inf, errors_deg)[..., None]
-    thr = torch.tensor(thresholds, dtype=errors_deg.dtype, device=errors_deg.device)
     return (1 - e / thr).clamp_min(0).mean(-2)
 
 
 def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
     """Raise InputError unless R is ``(*B, 3, 3)``, t ``(*B, 3)`` and not zero, both finite."""
     check_matrices(like, R=R)
-    check_matrices(R, shape=(3,), t=t)
+    check_matrices(R if like is None else like, shape=(3,), t=t)
     if not _traced() and bool((t == 0).all(-1).any()):
         raise InputError("t is zero: without a baseline two views determine no depth")
 

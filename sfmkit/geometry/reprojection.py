@@ -81,7 +81,10 @@ def reprojection_residuals(
         InputError: on shapes, dtypes or devices that do not fit, or NaN.
     """
     check_points(x1=x1, x2=x2)
-    return torch.cat((project(X, K1, distortion=d1) - x1, project(X, K2, R, t, d2) - x2), -1)
+    first, second = torch.broadcast_tensors(
+        project(X, K1, distortion=d1) - x1, project(X, K2, R, t, d2) - x2
+    )
+    return torch.cat((first, second), -1)
 
 
 def reprojection_error(

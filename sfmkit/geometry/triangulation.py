@@ -146,7 +146,23 @@ def corrected_matches(
     """Return the nearest normalised points that meet the epipolar constraint of (R, t).
 
     The points of both images, as components ``(*B, N)``. kornia 0.9.0 has no counterpart.
+
+    Args:
+        xn1, xn2: ``(*B, N, 2)``.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)``.
+
+    Raises:
+        InputError: on shapes, dtypes or devices that do not fit, NaN, or a zero t.
     """
+    check_points(xn1=xn1, xn2=xn2)
+    check_pose(R, t, like=xn1)
+    return _corrected(xn1, xn2, R, t)
+
+
+def _corrected(
+    xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor
+) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    """Compute :func:`corrected_matches` of checked arguments."""
     E = torch.linalg.cross(t[..., :, None].expand_as(R), R, dim=-2)
     e = [[E[..., i, j, None] for j in range(3)] for i in range(3)]
     (x1, y1), (x2, y2) = xn1.unbind(-1), xn2.unbind(-1)
@@ -181,7 +197,8 @@ def _apply(
     check_points(xn1=xn1, xn2=xn2)
     check_pose(R, t, like=xn1)
     dtype = xn1.dtype
-    R, t = R.double(), t.double()
+    batch = torch.broadcast_shapes(R.shape[:-2], t.shape[:-1])
+    R, t = R.double().expand(*batch, 3, 3), t.double().expand(*batch, 3)
     chunks = zip(xn1.double().split(_CHUNK, -2), xn2.double().split(_CHUNK, -2))
     parts = [_finish(method(a, b, R, t), a[..., 0], a[..., 1], homogeneous) for a, b in chunks]
     return (parts[0] if len(parts) == 1 else torch.cat(parts, -2)).to(dtype)
@@ -191,7 +208,7 @@ _CHUNK = 65_536
 
 
 def _optimal(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> list[Tensor]:
-    x1, x2 = corrected_matches(xn1, xn2, R, t)
+    x1, x2 = _corrected(xn1, xn2, R, t)
     p, q = rotated_ray(R, *x1), image_ray(*x2)
     c = components(t)
     # The normal of the epipolar plane, from the ray further from the baseline; with it every depth

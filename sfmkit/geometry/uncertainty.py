@@ -13,7 +13,7 @@ from torch import Tensor
 from ..errors import DegenerateGeometryError
 from ._two_view_problem import Linearised, Problem, State, linearise, residuals
 from .bundle import TwoViewBundle
-from .checks import _traced
+from .checks import _traced, check_matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +92,21 @@ _UNDETERMINED = 1e-13
 
 
 def sigma_degrees(pose_covariance: Tensor) -> Tensor:
-    """Root-mean-square angular error of rotation and of translation direction, ``(*B, 2)`` degrees,
-    from ``(*B, 5, 5)``.
+    """Return the root-mean-square angular errors of rotation and direction of translation.
 
     The square root of the trace of each block: directly comparable with :func:`rotation_error` and
     :func:`translation_error`.
+
+    Args:
+        pose_covariance: ``(*B, 5, 5)``.
+
+    Returns:
+        ``(*B, 2)`` degrees.
+
+    Raises:
+        InputError: wrong shape or type, NaN or infinite values.
     """
+    check_matrices(shape=(5, 5), pose_covariance=pose_covariance)
     variances = pose_covariance.diagonal(dim1=-2, dim2=-1)
     return torch.rad2deg(
         torch.stack((variances[..., :3].sum(-1), variances[..., 3:].sum(-1)), -1).sqrt()

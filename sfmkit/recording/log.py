@@ -469,4 +469,4 @@ def _centre2(view: TwoView) -> np.ndarray:
 
 
 def _markdown(words: str) -> rr.TextDocument:
-    return rr.TextDocument(words, media_type="text/markdown")
+    return rr.TextDocument(label(words), media_type="text/markdown")

@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from sfmkit.cli import main
+from sfmkit.cli.signals import Terminated
 from sfmkit.errors import InputError
 
 DOCS = Path(__file__).parents[2] / "docs/commands.md"
@@ -194,3 +195,16 @@ def test_closed_streams_and_other_encodings(tmp_path):
     assert b"Traceback" not in done.stdout
     done = shell("sfmkit data list | true; exit ${PIPESTATUS:-0}")
     assert done.stderr == b""
+
+
+def test_a_signal_while_a_module_is_imported_ends_like_any_other(monkeypatch):
+    def fail(*_, **__):
+        try:
+            raise Terminated(signal.SIGTERM)
+        except Terminated as interrupt:
+            raise ImportError("initialization failed") from interrupt
+
+    monkeypatch.setattr(click.Command, "invoke", fail)
+    result = CliRunner().invoke(main, ["operators"])
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "ended by SIGTERM" in result.output

@@ -7,21 +7,31 @@ import torch
 
 from sfmkit.errors import DegenerateGeometryError, InputError
 from sfmkit.geometry import (
+    choose_pose,
+    clip_lines,
+    corrected_matches,
     decompose_essential,
     decompose_homography,
     denormalize,
     epipoles,
     essential_5point,
+    hat,
     homography_4point,
     homography_from_pose,
     loss_terms,
+    marginal_score,
     normalize,
     pose_auc,
     project_to_essential,
     relative_pose,
+    reprojection_residuals,
+    sigma_degrees,
     so3_exp,
+    sphere_exp,
     squared_homography_sampson_distance,
     squared_symmetric_transfer_error,
+    to_homogeneous,
+    triangulate_dlt,
 )
 
 D = torch.float64
@@ -95,3 +105,47 @@ def test_repeated_matches_give_no_solution_that_is_not_finite():
         x1[k, 5 - copies :], x2[k, 5 - copies :] = x1[k, 0], x2[k, 0]
     E, valid = essential_5point(x1 - 0.5, x2 - 0.5)
     assert E[valid].isfinite().all()
+
+
+POINTS = torch.cat((X, torch.ones(4, 1, dtype=D)), -1)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: hat(torch.ones(2, dtype=D)),
+        lambda: so3_exp(torch.ones(3, dtype=torch.int64)),
+        lambda: sphere_exp(torch.ones(2, 3, dtype=D), torch.ones(3, 3, dtype=D)),
+        lambda: to_homogeneous(torch.ones(2, dtype=D)),
+        lambda: sigma_degrees(torch.eye(4, dtype=D)),
+        lambda: loss_terms("huber", torch.ones(2, dtype=torch.complex128), 1.0),
+        lambda: marginal_score(torch.ones(2, dtype=D), 1e-300),
+        lambda: pose_auc(torch.ones(2, dtype=D), torch.ones(2, 2)),
+        lambda: pose_auc(torch.ones(2, dtype=torch.bool), [5.0]),
+        lambda: clip_lines(torch.ones(4, 2, dtype=D), (640, 480)),
+        lambda: corrected_matches(X, X, EYE[:, :2], EYE[0]),
+        lambda: choose_pose(EYE, EYE[0], X, X),
+        lambda: choose_pose(EYE.expand(0, 3, 3), EYE[:0], X, X),
+        lambda: homography_from_pose(EYE, EYE[:2], EYE[2], torch.ones(5), EYE, EYE),
+        lambda: relative_pose(EYE.expand(2, 3, 3), EYE[0], EYE.expand(5, 3, 3), EYE[0]),
+        lambda: normalize(X.expand(5, 4, 2), EYE.expand(2, 3, 3)),
+    ],
+)
+def test_wrong_shapes_types_and_scales_are_refused(call):
+    with pytest.raises(InputError, match="."):
+        call()
+
+
+def test_numbers_whose_squares_overflow_are_refused():
+    with pytest.raises(DegenerateGeometryError, match="range of floats"):
+        decompose_homography((EYE + 0.1) * 1e200, EYE, EYE)
+
+
+def test_unbatched_points_meet_batched_poses():
+    R, t = EYE.expand(2, 3, 3), torch.tensor([[1.0, 0, 0], [0, 1.0, 0]], dtype=D)
+    x2 = [(POINTS + s)[..., :2] for s in t]
+    assert triangulate_dlt(X, x2[0], EYE, t).shape == (2, 4, 3)
+    torch.testing.assert_close(triangulate_dlt(X, x2[0], EYE, t[0]), POINTS)
+    r = reprojection_residuals(POINTS, X, x2[0], EYE, EYE, R, t)
+    torch.testing.assert_close(r[0], torch.zeros(4, 4, dtype=D))
+    assert r.shape == (2, 4, 4)

@@ -85,5 +85,5 @@ def test_too_few_matches_within_the_threshold_return_the_start_without_derivativ
 def test_bad_input_is_named():
     with pytest.raises(InputError, match="threshold_px"):
         refine_homography(START, S.x1, S.x2, threshold_px=0.0)
-    with pytest.raises(InputError, match="batch shapes"):
+    with pytest.raises(InputError, match="batch dimensions"):
         refine_homography(START.expand(3, 3, 3), S.x1.expand(2, -1, -1), S.x2.expand(2, -1, -1))

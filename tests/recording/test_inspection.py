@@ -85,6 +85,7 @@ def test_the_answer_about_a_point_in_words(path):
 def test_the_overview_has_verdict_pose_and_account(path):
     words = describe_recording(path)
     assert "general: Made up." in words
+    assert "preset default" in words
     assert "rotation 5.000 deg, translation direction (-0.9600, +0.0000, +0.2800)" in words
     for name, line in RESULT.account.items():
         row = next(

@@ -5,11 +5,10 @@ An input is the name of a function and a number from which its arguments are dra
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
-import pkgutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -20,24 +19,22 @@ from fuzz.engine import Kind
 from torch import Tensor
 
 EXTREMES = (0.0, 1.0, -1.0, 1e-300, 1e300, -1e300, 1e30, 1e-30, math.nan, math.inf, -math.inf)
-SKIPPED = ("checks", "kernels")  # written for checked arguments
-UNKNOWN = ("bundle", "camera", "pose", "m", "objective")  # arguments that are not tensors
+RECORDS = ("bundle", "camera", "pinhole", "pose", "m", "objective")  # arguments, not drawn here
 
 
+@cache
 def _functions() -> dict[str, Callable]:
+    """Return the functions that sfmkit.geometry exports and whose arguments can be drawn."""
     import sfmkit.geometry
 
-    found = {}
-    for module in pkgutil.iter_modules(sfmkit.geometry.__path__):
-        if module.name.startswith("_") or module.name in SKIPPED:
-            continue
-        content = importlib.import_module(f"sfmkit.geometry.{module.name}")
-        for name, function in vars(content).items():
-            if inspect.isfunction(function) and function.__module__ == content.__name__:
-                taken = inspect.signature(function).parameters
-                if not name.startswith(("_", "check_")) and not set(taken) & set(UNKNOWN):
-                    found[f"{module.name}.{name}"] = function
-    return found
+    exported = {name: getattr(sfmkit.geometry, name) for name in sfmkit.geometry.__all__}
+    return {
+        name: function
+        for name, function in exported.items()
+        if inspect.isfunction(function)
+        and not name.startswith("check_")
+        and not set(inspect.signature(function).parameters) & set(RECORDS)
+    }
 
 
 def _rotation(rng: np.random.Generator) -> np.ndarray:
@@ -57,6 +54,8 @@ def _valid(name: str, rng: np.random.Generator, n: int) -> Any:
         return rng.normal(size=(n, 3)) + [0, 0, 5]
     if name[0] == "R":
         return _rotation(rng)
+    if name == "thresholds":
+        return [5.0, 10.0]
     if name[0] in "tnwv" and name != "weights":
         return rng.normal(size=3 if name[0] != "v" else 2)
     if name[0] == "K":
@@ -75,21 +74,20 @@ def _valid(name: str, rng: np.random.Generator, n: int) -> Any:
         return np.eye(5)
     if name == "size_wh":
         return (640, 480)
-    if name == "thresholds":
-        return [5.0, 10.0]
     return 1.0
 
 
 def _changed(random: Random, value: Tensor) -> Tensor:
     """One property of a tensor changed."""
-    what = random.randrange(8)
+    what = random.randrange(0 if value.is_floating_point() else 4, 8)
     value = value.clone()
+    extreme = torch.tensor(random.choice(EXTREMES), dtype=torch.float64).to(value.dtype)
     if what <= 1 and value.numel():
         flat = value.reshape(-1)
-        flat[random.randrange(len(flat))] = random.choice(EXTREMES)
+        flat[random.randrange(len(flat))] = extreme
         return flat.reshape(value.shape)
     if what == 2:
-        return torch.full_like(value, random.choice(EXTREMES))
+        return extreme.expand(value.shape)
     if what == 3:
         return value * random.choice((1e-160, 1e160, 1e-30, 1e30, 1e308))
     if what == 4:
