@@ -112,7 +112,7 @@ def register(
     """
     watch = Stopwatch(progress)
     began = time.perf_counter()
-    options = choose_options(options, operators, matchers=matchers, device=device)
+    options = choose_options(options, operators, matchers=matchers, device=device, seed=seed)
     with collected() as warnings:
         with watch.stage("read", "images"):
             images = (read_image(image1), read_image(image2))

@@ -47,7 +47,7 @@ from ..options import (
     Options,
     TriangulateOptions,
 )
-from ..types import Camera, Correspondences, Features, Matches, PointCloud, TwoView
+from ..types import MAX_OPERATORS, Camera, Correspondences, Features, Matches, PointCloud, TwoView
 
 OPERATORS_OF_THE_PAPER = ("surf", "orb", "fast-brief")
 
@@ -85,6 +85,7 @@ def choose_options(
     *,
     matchers: str | Mapping[str, str] | None = None,
     device: str | torch.device | None = None,
+    seed: int = 0,
 ) -> Options:
     """Complete the options of a run and check them before the work starts.
 
@@ -94,14 +95,19 @@ def choose_options(
         matchers: The name of a matcher for all operators, or a mapping operator -> matcher; None
             keeps those of the options.
         device: Torch device; None keeps that of the options.
+        seed: Only checked: from 0 to 2^31 - 1.
 
     Raises:
-        InputError: Matchers or overrides are given for operators that are not used, a matcher or
-            estimator is unknown, or the device is not available.
-        OperatorError: No operator is given, or one is unknown.
+        InputError: The seed is out of range, matchers or overrides are given for operators that are
+            not used, a matcher or estimator is unknown, or the device is not available.
+        OperatorError: No operator or more than 62 are given, or one is unknown.
     """
     if not operators:
         raise OperatorError("no operator given; name at least one, e.g. operators=('surf', 'orb')")
+    if len(operators) > MAX_OPERATORS:
+        raise OperatorError(f"at most {MAX_OPERATORS} operators can be fused, not {len(operators)}")
+    if not 0 <= seed < 2**31:
+        raise InputError(f"seed must be from 0 to 2^31 - 1, not {seed}")
     for name in operators:
         OPERATOR_PLUGINS[name]
     match = choose_matchers(options.match, matchers)

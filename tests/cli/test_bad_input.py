@@ -18,8 +18,10 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image as PILImage
 
+import sfmkit
 from sfmkit.cli import main
 from sfmkit.datasets.synthetic import demo_pair
+from sfmkit.errors import InputError
 
 K = "500,500,319.5,239.5"
 
@@ -352,3 +354,12 @@ def test_a_budget_or_threshold_that_makes_no_sense(small_pair, tmp_path):
         == 2
     )
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize("run", [sfmkit.reconstruct, sfmkit.register])
+def test_operators_and_seed_are_checked_before_images_are_read(run):
+    with pytest.raises(InputError, match="at most 62 operators"):
+        run("missing.png", "missing.png", operators=("orb",) * 63)
+    for seed in (-1, 2**31):
+        with pytest.raises(InputError, match="seed must be from 0"):
+            run("missing.png", "missing.png", operators=("orb",), seed=seed)

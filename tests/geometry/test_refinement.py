@@ -89,7 +89,7 @@ def test_bad_input_is_named():
         refine_essential(s.R, s.t, s.x1, s.x2, s.K1, s.K2, loss_scale=0.0)
     with pytest.raises(InputError):
         refine_essential(s.R, 0 * s.t, s.x1, s.x2, s.K1, s.K2)
-    with pytest.raises(InputError, match="do not go together"):
+    with pytest.raises(InputError, match="do not fit each other"):
         refine_essential(
             s.R.expand(3, 3, 3), s.t, s.x1.expand(2, -1, -1), s.x2.expand(2, -1, -1), s.K1, s.K2
         )
