@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a batch of problems, each at its own pace.
+"""Levenberg-Marquardt on a batch of problems, each with its own damping.
 
 Source: Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004.
 """
@@ -30,7 +30,7 @@ class Trial(NamedTuple, Generic[S]):
 
 @dataclass(frozen=True)
 class Schedule:
-    """When to stop, and how to damp.
+    """Stopping rule and damping.
 
     Attributes:
         max_iterations: linearisations at most.
@@ -39,7 +39,7 @@ class Schedule:
         damping: at the start.
         factor: by which the damping falls after a good step and grows after a bad one.
         polish: undamped steps after convergence. The cost resolves a step to the square root of
-            its rounding only; derivatives are worth a minimum to full precision.
+            its rounding only; derivatives require the minimum to full precision.
     """
 
     max_iterations: int

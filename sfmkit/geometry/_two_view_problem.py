@@ -4,7 +4,7 @@ camera system.
 Unknowns. Camera: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the
 unit translation, and optionally the logarithm of one or two focal scales. Points:
 ``y = (u, v, rho)``, direction and inverse depth in camera 1, ``X = (u, v, 1) / rho``: far points
-are as well behaved as near ones, and image 1 sees just (u, v).
+are as well conditioned as near ones, and the projection in image 1 is (u, v).
 
 Each match contributes a 3 x 3 block for its point. With ``L L^T`` its Cholesky factor (closed
 form), eliminating the points leaves the reduced camera system ``S = Jc^T Jc - Z^T Z``,
@@ -35,8 +35,7 @@ FREE_FOCALS: dict[Focal, int] = {"fixed": 0, "shared": 1, "separate": 2}
 
 
 class State(NamedTuple):
-    """Where the minimisation stands: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points
-    (u, v, rho)."""
+    """The unknowns: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points (u, v, rho)."""
 
     R: Tensor
     t: Tensor
@@ -46,7 +45,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What was seen (pixels, float64) and how residuals count."""
+    """The observations (pixels, float64) and the loss of the residuals."""
 
     x1: Tensor
     x2: Tensor
@@ -72,7 +71,7 @@ class Problem:
         return Problem(x1, x2, weights, K1, K2, self.loss, self.scale, self.focal)
 
     def part(self, rows: slice) -> Problem:
-        """The problem of some of the matches."""
+        """Return the problem of some of the matches."""
         x1, x2 = self.x1[..., rows, :], self.x2[..., rows, :]
         return Problem(
             x1, x2, self.weights[..., rows], self.K1, self.K2, self.loss, self.scale, self.focal
@@ -80,11 +79,11 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """The number of camera unknowns, 5 to 7."""
+        """Return the number of camera unknowns, 5 to 7."""
         return 5 + FREE_FOCALS[self.focal]
 
     def move(self, state: State, camera: Tensor, points: Vector | None = None) -> State:
-        """The state after a camera step (*B, size) and a step of the points."""
+        """Return the state after a camera step (*B, size) and a step of the points."""
         B = tangent_basis(state.t)
         u, v, w = state.y
         if points is not None:
@@ -100,22 +99,22 @@ class Problem:
         )
 
     def cost(self, state: State) -> Tensor:
-        """Half the weighted sum of the loss, (*B,), of each match's squared residual over both
-        images."""
+        """Return half the weighted sum of the losses of all matches, (*B,)."""
         return _sum(
             0.5 * (p.weights * p.loss_terms(*residuals(s, p)).value).sum(-1)
             for s, p in in_chunks(state, self)
         )
 
     def loss_terms(self, r1: Pair, r2: Pair) -> LossTerms:
-        """The loss of every match, (*B, N), and its derivatives by the squared residual over both
-        images."""
+        """Return the loss of every match, (*B, N), of its squared residual over both images."""
         return loss_terms(self.loss, _dot2(r1, r1) + _dot2(r2, r2), self.scale)
 
 
 class Linearised(NamedTuple):
-    """The Gauss-Newton system at a state; the last of the size + 1 columns of J and Z belongs to
-    the residual."""
+    """The Gauss-Newton system at a state.
+
+    The last of the size + 1 columns of Z belongs to the residual.
+    """
 
     S: Tensor  # (*B, size, size) reduced camera matrix
     g: Tensor  # (*B, size) its right-hand side, the gradient after the elimination of the points
@@ -124,7 +123,7 @@ class Linearised(NamedTuple):
     H: Tensor  # (*B, size, size) camera block before the elimination
 
     def solve_points(self, camera: Tensor) -> Vector:
-        """The points' step that goes with a camera step (*B, size)."""
+        """Return the step of the points that belongs to a camera step (*B, size)."""
         one = torch.ones_like(camera[..., :1])
         rhs = (torch.cat((camera, one), -1)[..., None, :] @ self.Z.flatten(-2))[..., 0, :]
         a, b, c = rhs.unflatten(-1, (3, -1)).unbind(-2)
@@ -132,7 +131,7 @@ class Linearised(NamedTuple):
 
 
 def residuals(state: State, problem: Problem) -> tuple[Pair, Pair]:
-    """Projected minus seen in image 1 and image 2, pixels."""
+    """Return projection minus observation in image 1 and image 2, pixels."""
     u, v, w = state.y
     f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
     px, py, pz = _in_camera2(state, rotated_ray(state.R, u, v))
@@ -175,7 +174,7 @@ class Jacobian(NamedTuple):
 
 
 def jacobian(state: State, problem: Problem) -> Jacobian:
-    """The Jacobian and residuals, not yet weighted."""
+    """Return the Jacobian and residuals without weights."""
     u, v, w = state.y
     t = components(state.t)
     f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
@@ -217,11 +216,11 @@ def jacobian(state: State, problem: Problem) -> Jacobian:
 
 
 def weigh(J: Jacobian, problem: Problem) -> Jacobian:
-    """Rows times the square root of their weight: ``J^T r`` is the robust gradient, ``J^T J``
-    bounds the Hessian.
+    """Multiply the rows by the square root of their weight.
 
-    One weight for a match: one for each image would move its point from one image's residual to the
-    other's, slowly.
+    ``J^T r`` is then the robust gradient, and ``J^T J`` bounds the Hessian. Each match has one
+    weight; separate weights for the two images would shift its residual between them, and converge
+    slowly.
     """
     root = (problem.weights * problem.loss_terms(J.residual1, J.residual2).slope).sqrt()
 
@@ -232,8 +231,7 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
 
 
 def in_chunks(state: State, problem: Problem) -> Iterator[tuple[State, Problem]]:
-    """State and problem, split such that the dozens of intermediate tensors stay in the processor's
-    cache."""
+    """Yield parts of state and problem whose intermediate tensors fit into the processor's cache."""
     n = problem.x1.shape[-2]
     if n <= _CHUNK:
         yield state, problem
@@ -255,11 +253,11 @@ def _sum(terms: Iterable[Tensor]) -> Tensor:
 def linearise(
     state: State, problem: Problem, damping: Tensor | None = None, near: Tensor | None = None
 ) -> Linearised:
-    """The reduced camera system.
+    """Return the reduced camera system.
 
     Reweighted least squares: the quadratic lies above the cost, so that its step descends. Where
-    near (*B,) is true, the loss's own curvature is used, which converges faster but only close to
-    the minimum. With damping (*B,), every point's diagonal is scaled by 1 + damping.
+    near (*B,) is true, the curvature of the loss is used too, which converges faster, but only
+    close to the minimum. With damping (*B,), every point's diagonal is scaled by 1 + damping.
     """
     S, g, Z, L, H = zip(*(_linearise(s, p, damping, near) for s, p in in_chunks(state, problem)))
     if len(S) == 1:
@@ -291,8 +289,8 @@ def _linearise(
     reduced, H = H - flat @ flat.mT, H[..., :m, :m]
     S = reduced[..., :m, :m]
     if near is not None and problem.loss != "squared":
-        # At the minimum the points see no residual (J_y^T r = 0): the curvature along it is the
-        # camera's alone.
+        # At the minimum of the points J_y^T r = 0: the curvature along the residual concerns the
+        # camera only.
         bend = (
             2
             * problem.weights
@@ -307,7 +305,7 @@ def _linearise(
 
 
 def settle_points(state: State, problem: Problem, damping: Tensor) -> State:
-    """One step of the points alone, at the cameras as they are."""
+    """Take one step of the points alone, with fixed cameras."""
     settled = []
     for s, p in in_chunks(state, problem):
         J = weigh(jacobian(s, p), p)
@@ -319,14 +317,14 @@ def settle_points(state: State, problem: Problem, damping: Tensor) -> State:
 
 
 def _onto_residual(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Tensor:
-    """``r^T c`` for one column of the camera Jacobian."""
+    """Return ``r^T c`` for one column of the camera Jacobian."""
     one = 0.0 if c1 is None else _dot2(J.residual1, c1)
     two = 0.0 if c2 is None else _dot2(J.residual2, c2)
     return one + two + torch.zeros_like(J.residual1[0])
 
 
 def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
-    """The Cholesky factor of every point's 3 x 3 block."""
+    """Return the Cholesky factor of the 3 x 3 block of every point."""
     (au, av), (pu, pv, pw) = J.point1, J.point2
     grow = 1 + damping
     uu, vv, ww = _dot2(pu, pu) + _dot2(au, au), _dot2(pv, pv) + _dot2(av, av), _dot2(pw, pw)
@@ -335,8 +333,8 @@ def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
     l10, l20 = uv / l00, uw / l00
     l11 = (grow * vv - l10 * l10).clamp_min(_TINY).sqrt()
     l21 = (vw - l20 * l10) / l11
-    # A point on the epipole, or beyond a redescending loss, has nothing to move it: the floor keeps
-    # it where it is.
+    # The block of a point on the epipole, or beyond a redescending loss, is singular: with the floor
+    # the point does not move.
     l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
     return l00, l10, l11, l20, l21, l22
 
@@ -345,7 +343,7 @@ _TINY = 1e-24
 
 
 def _onto_point(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Vector:
-    """``Jy^T c`` for one column of the camera Jacobian."""
+    """Return ``Jy^T c`` for one column of the camera Jacobian."""
     terms: list[list[Tensor]] = [[], [], []]
     if c1 is not None:
         for k in range(2):
@@ -359,7 +357,7 @@ def _onto_point(J: Jacobian, c1: Pair | None, c2: Pair | None) -> Vector:
 
 
 def _whiten(L: tuple[Tensor, ...], h: Vector) -> Vector:
-    """``L^-1 h``."""
+    """Return ``L^-1 h``."""
     l00, l10, l11, l20, l21, l22 = L
     z0 = h[0] / l00
     z1 = (h[1] - l10 * z0) / l11
@@ -367,7 +365,7 @@ def _whiten(L: tuple[Tensor, ...], h: Vector) -> Vector:
 
 
 def back_substitute(L: tuple[Tensor, ...], z: Vector) -> Vector:
-    """``L^-T z``."""
+    """Return ``L^-T z``."""
     l00, l10, l11, l20, l21, l22 = L
     w = z[2] / l22
     v = (z[1] - l21 * w) / l11
@@ -375,7 +373,7 @@ def back_substitute(L: tuple[Tensor, ...], z: Vector) -> Vector:
 
 
 def _gram(columns: tuple[Pair | None, ...]) -> Tensor:
-    """All inner products between the columns of one image."""
+    """Return all inner products between the columns of one image."""
     zero = torch.zeros_like(next(c for c in columns if c is not None)[0])
     J = torch.stack(
         [torch.stack(torch.broadcast_tensors(*(c or (zero, zero))), -2) for c in columns], -3

@@ -1,4 +1,4 @@
-"""Two-view bundle adjustment: the pose and the points that together reproject best, in pixels."""
+"""Two-view bundle adjustment: the pose and the points of least reprojection error, in pixels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TOLERANCE = 1e-12  # of the cost: the predicted decrease at convergence
 _EXACT = 1e-20  # pixels squared per match: rounding of the residuals
 _DAMPING = 1e-4  # at the start
 _POLISH = 2  # steps; each leaves about a tenth of the error
-# times the damping: the points need little, and whatever they get is shared out to the camera
+# times the damping: the points need little, and their damping slows the camera down too
 _POINT_DAMPING = 1e-5
 
 
@@ -36,7 +36,7 @@ class TwoViewBundle:
         inverse_depth: ``(*B, N, 3)`` points as ``(u, v, rho)``: normalised coordinates in image 1
             and inverse depth; rho is zero at infinity, and negative where the rays meet behind
             camera 1.
-        K1, K2: ``(*B, 3, 3)``, with the focal lengths found where they were free.
+        K1, K2: ``(*B, 3, 3)``, with the estimated focal lengths where these are free.
         cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after
             each step.
         iterations: ``(*B,)`` int64, linearisations until convergence.
@@ -61,7 +61,7 @@ class TwoViewBundle:
 
     @property
     def X(self) -> Tensor:
-        """``(*B, N, 3)`` points in camera 1, in baselines; infinite at infinity."""
+        """Return the points ``(*B, N, 3)`` in camera 1, in baselines; infinite at infinity."""
         rho = self.inverse_depth[..., 2:]
         infinite = rho == 0
         ray = torch.cat((self.inverse_depth[..., :2], torch.ones_like(rho)), -1)
@@ -95,29 +95,30 @@ def bundle_adjust(
     focal: Focal = "fixed",
     max_iterations: int = 50,
 ) -> TwoViewBundle:
-    """Refine the pose and all points (and, if asked, the focal lengths) from a starting pose.
+    """Refine the pose, all points and, optionally, the focal lengths from an initial pose.
 
     Levenberg-Marquardt on the reduced camera system, with analytic Jacobians and points as
-    direction and inverse depth; time and memory are linear in N. The minimum is differentiable by
-    x1, x2, weights, K1 and K2: first derivatives, by the implicit function theorem with the exact
-    Hessian, at a price that does not depend on the iterations. The start R, t has derivative zero.
+    direction and inverse depth; time and memory are linear in N. The minimum is differentiable with
+    respect to x1, x2, weights, K1 and K2, in reverse and forward mode and more than once (implicit
+    function theorem, exact Hessian); the time of a derivative does not depend on the number of
+    iterations. The derivative with respect to the initial pose is zero.
 
     Args:
         x1, x2: ``(*B, N, 2)`` pixels, undistorted; N at least 5 plus the free focal lengths.
         K1, K2: ``(*B, 3, 3)`` intrinsics.
-        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` where to start; the length of t does not matter.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` initial pose; the length of t does not matter.
         weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance),
-            ones if left out.
+            ones by default.
         loss, loss_scale: of a match's residual, the 4-vector over both images, in pixels; see
             :func:`sfmkit.geometry.losses.loss_terms`.
         focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal
             length is well determined only where the optical axes do not meet (Kanatani and
-            Matsunaga 2000); look at the covariance.
+            Matsunaga 2000); check the covariance.
         max_iterations: 0 only triangulates at the given pose.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, NaN, unknown options, or a zero t.
-        DegenerateGeometryError: with too few matches.
+        InputError: shapes, dtypes or devices that do not match, NaN, unknown options, or a zero t.
+        DegenerateGeometryError: too few matches.
 
     Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis,
     2000.
@@ -144,7 +145,7 @@ def bundle_adjust(
             x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1]
         )
     except RuntimeError:
-        raise InputError("the batch shapes of x1, K1, K2, R and t do not go together") from None
+        raise InputError("the batch shapes of x1, K1, K2, R and t do not fit together") from None
     ones = x1.new_ones(x1.shape[:-1]) if weights is None else weights
     problem = Problem(
         x1.double(),
@@ -188,8 +189,7 @@ def bundle_adjust(
 
 
 def _regular(weights: Tensor) -> Tensor:
-    """Weights with zero made next to nothing, so that a match without weight still has a point of
-    its own."""
+    """Replace zero weights by tiny ones, so that every match determines its point."""
     return weights + 1e-12 * weights.detach().amax(-1, keepdim=True)
 
 
@@ -207,10 +207,10 @@ def _minimise(state: State, problem: Problem, max_iterations: int, polish: int) 
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
-        # A second step of the points alone judges the camera's step by its own effect: along a
-        # curved valley (a free focal length) this takes a tenth of the iterations.
+        # After a second step of the points alone, the cost shows the effect of the camera's step: in
+        # a curved valley (a free focal length) this needs a tenth of the iterations.
         trial = settle_points(trial, problem, _POINT_DAMPING * damping)
-        # What a full step could still gain, from the points and then from the camera.
+        # The predicted gain of a full step, of the points and then of the camera.
         own = system.Z[..., -1, :, :]
         gain = (own * own).sum((-1, -2)) - (camera * system.g).sum(-1)
         return Trial(trial, problem.cost(trial), gain)
@@ -222,7 +222,7 @@ def _minimise(state: State, problem: Problem, max_iterations: int, polish: int) 
 
 
 def _with_focal(K: Tensor, f: Tensor) -> Tensor:
-    """K with its focal lengths and skew times f."""
+    """Return K with its focal lengths and skew multiplied by f."""
     one = torch.ones_like(f)
     first = torch.stack((f, f, one), -1)
     return K * torch.stack((first, first, torch.ones_like(first)), -2)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..types import Camera
-from .pose import se3_from_pose
+from .checks import check_matrices
 
 
 def pinhole_from_camera(
@@ -35,7 +35,15 @@ def pinhole_from_camera(
         raise InputError("give both R and t, or neither")
     M = torch.eye(4, dtype=torch.float64)[None]
     if R is not None and t is not None:
-        M = se3_from_pose(R[None].double(), t[None].double()).matrix()
+        check_matrices(shape=(3, 3), R=R)
+        check_matrices(R, shape=(3,), t=t)
+        if R.ndim != 2 or t.ndim != 1:
+            raise InputError(
+                "R and t must have shapes (3, 3) and (3,), "
+                f"not {tuple(R.shape)} and {tuple(t.shape)}"
+            )
+        rows = torch.cat((R.double(), t.double()[:, None]), -1)
+        M = torch.cat((rows, M[0, 3:]))[None]
     intrinsics = torch.eye(4, dtype=torch.float64)[None].clone()
     intrinsics[0, :3, :3] = torch.tensor(camera.K)
     w, h = (torch.tensor([float(v)], dtype=torch.float64) for v in camera.size_wh)

@@ -12,6 +12,7 @@ from kornia.geometry.epipolar import relative_camera_motion
 from kornia.geometry.liegroup import Se3, So3
 from kornia.geometry.quaternion import Quaternion
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from ..errors import InputError
 from ._rays import components, cross, dot, image_ray, rotated_ray
@@ -114,10 +115,13 @@ def se3_from_pose(R: Tensor, t: Tensor) -> Se3:
             ``(B, 3)``.
 
     Raises:
-        InputError: shapes, dtypes, devices, NaN.
+        InputError: shapes, dtypes, devices, NaN, or forward mode: kornia (0.9.0) stores t as a
+            parameter and loses its tangent.
     """
     check_matrices(R=R)
     check_matrices(R, shape=(3,), t=t)
+    if forward_ad.unpack_dual(t).tangent is not None:
+        raise InputError("Se3 does not support forward mode; use reverse mode (jacrev)")
     if R.ndim > 3 or t.ndim != R.ndim - 1:
         raise InputError(
             "R and t must have shapes (3, 3) and (3,), or (B, 3, 3) and (B, 3), "

@@ -1,5 +1,7 @@
-"""Refinement of a relative pose on its five degrees of freedom: robust Sampson distances in pixels,
-no points."""
+"""Refinement of a relative pose on its five degrees of freedom, without points.
+
+The cost is a robust loss of the Sampson distances in pixels.
+"""
 
 from __future__ import annotations
 
@@ -63,21 +65,21 @@ def refine_essential(
     loss_scale: float = 0.5,
     max_iterations: int = 30,
 ) -> EssentialRefinement:
-    """The pose near (R, t) that minimises the weighted robust Sampson distances, by
-    Levenberg-Marquardt.
+    """Minimise the weighted robust Sampson distances from a pose, by Levenberg-Marquardt.
 
     Five unknowns: a rotation vector ω, ``R <- exp(ω) R``, and two tangent coordinates of t on the
     unit sphere. The Jacobian is analytic, and all matches enter through one 9 x 9 matrix (the
-    residual's derivatives by the entries of E), so that a step on 20,000 matches costs 1.3 ms on
-    one core, twice that while the process is still getting its memory. Near the minimum the
-    curvature of the loss is used too, which makes convergence nearly quadratic under robust losses.
+    derivatives of the residual with respect to the entries of E), so that a step on 20,000 matches
+    takes 1.3 ms on one core once the memory is allocated. Near the minimum the curvature of the
+    loss is used too, which makes convergence nearly quadratic under robust losses.
 
-    The minimum is differentiable by x1, x2, weights, K1 and K2 (first derivatives, implicit
-    function theorem, exact Hessian); the price does not depend on the iterations. The start has
-    derivative zero.
+    The minimum is differentiable with respect to x1, x2, weights, K1 and K2, in reverse and forward
+    mode and more than once (implicit function theorem, exact Hessian); the time of a derivative
+    does not depend on the number of iterations. The derivative with respect to the initial pose is
+    zero.
 
     Args:
-        R, t: (*B, 3, 3), (*B, 3) where to start; the length of t does not matter.
+        R, t: (*B, 3, 3), (*B, 3) initial pose; the length of t does not matter.
         x1, x2: (*B, N, 2) undistorted pixels, N >= 5.
         K1, K2: (3, 3) or (*B, 3, 3).
         weights: (*B, N) or (N,), not negative.
@@ -100,7 +102,7 @@ def refine_essential(
             x1.shape[:-2], K1.shape[:-2], K2.shape[:-2], R.shape[:-2], t.shape[:-1]
         )
     except RuntimeError:
-        raise InputError("the batch shapes of R, t, x1, K1 and K2 do not go together") from None
+        raise InputError("the batch shapes of R, t, x1, K1 and K2 do not fit each other") from None
     dtype = x1.dtype
     matches = bearings(x1, x2, K1, K2, weights)
     fixed = Bearings(*(None if a is None else a.detach() for a in matches))  # type: ignore[arg-type]
@@ -144,7 +146,7 @@ class Objective(NamedTuple):
 
 
 class Bearings(NamedTuple):
-    """Rays and what turns lines in normalised coordinates into lines in pixels."""
+    """Rays, and the maps of lines from normalised coordinates to pixels."""
 
     h1: Tensor  # (*B, 3, N) homogeneous normalised points of image 1
     h2: Tensor
@@ -186,9 +188,9 @@ def _total(terms: LossTerms, m: Bearings) -> Tensor:
 def _linearise(
     residual: _Residual, terms: LossTerms, m: Bearings, near: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Gradient (*B, 9) and robust Gauss-Newton matrix (*B, 9, 9) by the entries of E; near (*B,)
-    the minimum or not.
+    """Return the gradient (*B, 9) and the Gauss-Newton matrix (*B, 9, 9) in the entries of E.
 
+    Where near (*B,) is true, the matrix includes the curvature of the loss.
     ``dr/dE_ij = q (h2_i h1_j - u (m2_i h1_j + m1_j h2_i))`` with u = r q and m = S^T l, two entries
     long.
     """
@@ -202,8 +204,8 @@ def _linearise(
         m.h2[..., :, None, :] * ((u * q)[..., None, :] * (m.S1.mT @ line1))[..., None, :, :]
     )
     A = A.flatten(-3, -2)
-    # The slope alone majorises the loss and descends from anywhere; the true curvature converges
-    # fast, near the end.
+    # With the slope alone the quadratic majorises the loss, so that the step descends from any
+    # pose; with the curvature it converges faster, but only near the minimum.
     curvature = terms.slope + torch.where(near[..., None], 2 * terms.curvature * r * r, 0.0)
     slope = terms.slope * r
     if m.weights is not None:
@@ -212,8 +214,10 @@ def _linearise(
 
 
 def _tangent(R: Tensor, t: Tensor) -> Tensor:
-    """(*B, 9, 5): the derivative of E = [t]x R by the rotation vector and the tangent coordinates
-    of t."""
+    """Return the derivative (*B, 9, 5) of E = [t]x R with respect to the pose.
+
+    The columns are the rotation vector and the tangent coordinates of t.
+    """
     eye = torch.eye(3, dtype=R.dtype, device=R.device)
     rotation = hat(t)[..., None, :, :] @ hat(eye) @ R[..., None, :, :]
     translation = hat(tangent_basis(t).mT) @ R[..., None, :, :]
@@ -226,7 +230,7 @@ def _move(R: Tensor, t: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Evaluated(NamedTuple):
-    """A pose and the residuals and losses of all matches there."""
+    """A pose with the residuals and losses of all matches."""
 
     R: Tensor
     t: Tensor

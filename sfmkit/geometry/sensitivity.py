@@ -27,13 +27,13 @@ def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
     loss = problem.loss_terms(J.residual1, J.residual2)
     follow = torch.einsum("...kln,...lmn->...kmn", H.inverse, H.mixed)
     D = camera - torch.einsum("...rkn,...kmn->...rmn", point, follow)
-    # The gradient of the loss by the residual, slope r, itself changes by slope + 2 curvature r
-    # r^T.
+    # The derivative of slope r, the gradient of the loss, is slope + 2 curvature r r^T.
     along = 2 * loss.curvature[..., None, :] * torch.einsum("...rn,...rmn->...mn", r, D)
     D = problem.weights[..., None, None, :] * (
         loss.slope[..., None, None, :] * D + r[..., :, None, :] * along[..., None, :, :]
     )
-    return torch.linalg.solve(H.camera[..., None, :, :], D.movedim(-1, -3).mT)[..., :5, :]
+    found = torch.linalg.solve(H.camera[..., None, :, :], D.movedim(-1, -3).mT)[..., :5, :]
+    return found.to(bundle.R.dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ class Influence:
     Attributes:
         change: ``(*B, N, 5)`` change of the pose if the match were left out, radians (rotation
             vector, tangent of t).
-        leverage: ``(*B, N)`` share of its own residual that a match decides, in [0, 1]; they sum to
-            the number of camera unknowns. The pose follows a match of high leverage whatever the
-            others say.
+        leverage: ``(*B, N)`` share of its own residual that a match determines, in [0, 1]; they
+            sum to the number of camera unknowns. The pose follows a match of high leverage
+            regardless of the other matches.
         cook: ``(*B, N)`` Cook's distance, the square of `change` in units of the uncertainty of the
             pose, per unknown; values above about ``4 / N`` need attention.
     """
@@ -82,7 +82,8 @@ def influence(bundle: TwoViewBundle) -> Influence:
     spread = torch.einsum("...nj,...jk,...nk->...n", change, system.S, change)
     variance = (r * r).sum((-1, -2)) / ((bundle.weights > 0).sum(-1) - problem.size).clamp_min(1)
     cook = spread / (problem.size * variance[..., None].clamp_min(torch.finfo(r.dtype).tiny))
-    return Influence(change[..., :5], leverage, cook)
+    kind = bundle.R.dtype
+    return Influence(change[..., :5].to(kind), leverage.to(kind), cook.to(kind))
 
 
 def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Problem]:
@@ -100,8 +101,10 @@ def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Probl
 
 
 def _rows(J: Jacobian) -> tuple[Tensor, Tensor, Tensor]:
-    """The Jacobian as tensors: camera ``(*B, 4, m, N)``, point ``(*B, 4, 3, N)``, residual
-    ``(*B, 4, N)``."""
+    """Return the Jacobian as tensors.
+
+    They are camera ``(*B, 4, m, N)``, point ``(*B, 4, 3, N)`` and residual ``(*B, 4, N)``.
+    """
     zero = torch.zeros_like(J.residual1[0])
     none = (zero, zero)
 

@@ -24,10 +24,11 @@ class Uncertainty:
         pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2
             (truth = ``exp(omega) R``), and translation direction, radians, along the two columns of
             ``tangent_basis(t)``. Free focal lengths are marginalised.
-        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, the uncertainty of
-            the pose included; infinite for points at infinity.
+        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, including the
+            uncertainty of the pose; infinite for points at infinity.
         sigma_px: ``(*B,)`` standard deviation of one pixel coordinate of unit weight, estimated.
-        degrees_of_freedom: ``(*B,)`` matches in excess of the unknowns: what `sigma_px` rests on.
+        degrees_of_freedom: ``(*B,)`` number of matches minus the number of camera unknowns, from
+            which `sigma_px` is estimated.
     """
 
     pose: Tensor
@@ -37,25 +38,27 @@ class Uncertainty:
 
     @property
     def sigma_deg(self) -> Tensor:
-        """``(*B, 2)`` degrees: see :func:`sigma_degrees`."""
+        """Return ``(*B, 2)`` degrees, see :func:`sigma_degrees`."""
         return sigma_degrees(self.pose)
 
 
 def covariance(bundle: TwoViewBundle) -> Uncertainty:
-    """The covariance of the pose and of every point at the minimum that :func:`bundle_adjust`
-    found.
+    """Return the covariance of the pose and of every point of a two-view bundle adjustment.
 
     A match has four coordinates and its point three unknowns, so each match leaves one residual,
-    and N matches leave ``N - 5`` degrees of freedom (fewer with free focal lengths) to estimate the
-    noise from. Calibrated for Gaussian noise of one size (times the weights) as long as the noise
-    is small against what the geometry can bear: a point whose depth is known to worse than a fifth
-    has an error that no ellipsoid describes. If matches were dropped because of their residuals,
-    the noise is underestimated. With a robust loss the noise follows Huber's correction for
-    M-estimators.
+    and N matches leave ``N - 5`` degrees of freedom (fewer with free focal lengths) from which the
+    noise is estimated. Calibrated for Gaussian noise of one variance (divided by the weights) that
+    is small enough for a first-order approximation: an ellipsoid does not describe the error of a
+    point whose relative depth error exceeds a fifth. If matches were removed because of their
+    residuals, the noise is underestimated. With a robust loss the noise estimate uses Huber's
+    correction for M-estimators.
+
+    Differentiable with respect to the data of the bundle adjustment.
 
     Raises:
-        DegenerateGeometryError: with no more matches than unknowns, or where they leave the pose
-            undetermined.
+        DegenerateGeometryError: there are no more matches than unknowns, or they do not determine
+            the pose. Inside torch.func transforms and torch.compile, where values cannot be read,
+            the covariance is NaN where the pose is not determined.
 
     Source: Hartley and Zisserman, 2nd ed., section 5.2 and appendix A6.3; Huber, Robust statistics,
     1981, section 7.6.
@@ -65,8 +68,8 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     variance, dof = _noise(state, problem, bundle.weights > 0)
     system = linearise(state, replace(problem, loss="squared"))
     root, failed = torch.linalg.cholesky_ex(system.S)
-    # A pose direction is undetermined when next to nothing of its information survives the
-    # elimination of the points.
+    # A pose direction is undetermined if the elimination of the points removes almost all of its
+    # information.
     information = root.diagonal(dim1=-2, dim2=-1) ** 2 / system.H.diagonal(dim1=-2, dim2=-1)
     undetermined = (failed > 0) | (information < _UNDETERMINED).any(-1)
     if not _traced() and bool(undetermined.any()):
@@ -88,13 +91,13 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     )
 
 
-_UNDETERMINED = 1e-13
+_UNDETERMINED = 1e-13  # share of the information: 450 times the rounding of float64
 
 
 def sigma_degrees(pose_covariance: Tensor) -> Tensor:
     """Return the root-mean-square angular errors of rotation and direction of translation.
 
-    The square root of the trace of each block: directly comparable with :func:`rotation_error` and
+    The square root of the trace of each block, comparable with :func:`rotation_error` and
     :func:`translation_error`.
 
     Args:
@@ -114,8 +117,7 @@ def sigma_degrees(pose_covariance: Tensor) -> Tensor:
 
 
 def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor]:
-    """The variance of a coordinate of unit weight, and the degrees of freedom it was estimated
-    with."""
+    """Return the variance of a coordinate of unit weight, and its degrees of freedom."""
     r1, r2 = residuals(state, problem)
     s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
     matches = used.sum(-1)
@@ -134,7 +136,7 @@ def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor
 
 
 def _point_covariances(state: State, system: Linearised, root: Tensor) -> Tensor:
-    """Marginal covariance ``(*B, N, 3, 3)`` of the points for unit noise."""
+    """Return the marginal covariance ``(*B, N, 3, 3)`` of the points for unit noise."""
     entries = (*state.y, *system.L)
     parts = zip(*(a.split(_CHUNK, -1) for a in entries), system.Z.split(_CHUNK, -1))
     return torch.cat([_point_covariance(part[:3], part[3:9], part[9], root) for part in parts], -3)
@@ -146,10 +148,10 @@ _CHUNK = 65_536  # keeps the intermediate tensors small
 def _point_covariance(
     unknowns: tuple[Tensor, ...], L: tuple[Tensor, ...], Z: Tensor, root: Tensor
 ) -> Tensor:
-    """The same for some of the points.
+    """Return the marginal covariance of some of the points.
 
-    ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: what the two rays leave
-    open, and what an uncertain pose adds.
+    ``M (I + W W^T) M^T`` with ``M = dX/dy L^-T`` and ``W = Z S^(-1/2)``: the first term is the
+    covariance at a fixed pose, the second is due to the uncertainty of the pose.
     """
     u, v, w = unknowns
     l00, l10, l11, l20, l21, l22 = L

@@ -3,6 +3,7 @@ other tests."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 import torch
 from made_up_scene import make_scene
 
+from sfmkit.errors import InputError
 from sfmkit.geometry._forward_mode import forward_mode
 from sfmkit.geometry.bundle import bundle_adjust
 from sfmkit.geometry.coordinates import (
@@ -28,7 +30,7 @@ from sfmkit.geometry.homography import homography_from_pose, transfer
 from sfmkit.geometry.homography_refinement import refine_homography
 from sfmkit.geometry.lie import hat, so3_exp
 from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
-from sfmkit.geometry.pose import relative_pose
+from sfmkit.geometry.pose import relative_pose, se3_from_pose
 from sfmkit.geometry.refinement import refine_essential
 from sfmkit.geometry.reprojection import reprojection_residuals
 from sfmkit.geometry.triangulation import (
@@ -206,3 +208,64 @@ def test_a_first_gradient_warns_of_nothing(call):
     )
     assert made.returncode == 0, made.stderr[-2000:]
     assert made.stderr == ""
+
+
+def derivatives():
+    path = Path(__file__).parents[2] / "benchmarks" / "derivatives.py"
+    spec = importlib.util.spec_from_file_location("derivatives", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def documented():
+    """Return the rows of docs/derivatives.md as {function: {check: entry}}."""
+    page = (Path(__file__).parents[2] / "docs" / "derivatives.md").read_text(encoding="utf-8")
+    rows = [
+        [cell.strip(" `") for cell in line.strip("|").split("|")]
+        for line in page.splitlines()
+        if line.startswith("|") and not line.startswith("|---")
+    ]
+    return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[1:]}
+
+
+def test_the_table_of_derivatives_lists_every_public_function():
+    module, rows = derivatives(), documented()
+    assert sorted(rows) == sorted(module.public_functions()) == sorted(module.cases())
+    assert "wrong" not in {entry for row in rows.values() for entry in row.values()}
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize(
+    "name", ["camera_from_pinhole", "cheirality", "epipoles", "hat", "transfer", "triangulate"]
+)
+def test_the_entries_of_the_table_are_reproduced(name):
+    module, row = derivatives(), documented()[name]
+    check = module.Check(module.cases()[name])
+    assert {c: module.entry(check, c).text for c in module.CHECKS} == {
+        c: row[c] for c in module.CHECKS
+    }
+
+
+def test_se3_raises_in_forward_mode_where_kornia_loses_the_derivative_of_t():
+    def moved(t):
+        return se3_from_pose(S.R, t).matrix()
+
+    with forward_mode(), pytest.raises(InputError, match="forward mode"):
+        torch.func.jacfwd(moved)(S.t)
+    assert torch.func.jacrev(moved)(S.t)[:3, 3].equal(torch.eye(3, dtype=torch.float64))
+
+
+def test_a_wrong_derivative_is_reported_as_wrong():
+    class Doubled(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx, x):
+            return x.clone()
+
+        @staticmethod
+        def backward(ctx, grad):
+            return 2 * grad
+
+    module = derivatives()
+    check = module.Check(module.Case(Doubled.apply, (AXIS,)))
+    assert module.entry(check, "gradcheck").text == "wrong"

@@ -50,7 +50,9 @@ def test_influence_agrees_with_refits_without_the_match(loss, scale):
         errors.append(float((found.change[k] - change).norm() / change.norm()))
     # One step of a non-linear problem; without the curvature of the loss it is off by 20 to 30 %.
     assert sorted(errors)[5] < 0.06
-    assert sorted(errors)[8] < 0.25  # Huber's slope has a kink, which one match crosses
+    # Not the largest: with Huber's loss one is 0.32, for a match without which two others cross the
+    # kink of the slope, where a Newton step is not accurate.
+    assert sorted(errors)[8] < 0.12
 
 
 def test_a_batch_agrees_with_its_items():

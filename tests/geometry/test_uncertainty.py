@@ -1,4 +1,4 @@
-"""Covariances against a dense inverse, and their promise kept: how often the truth lies inside."""
+"""Covariances compared with a dense inverse, and the coverage of their confidence regions."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ def coverage(trials: int) -> dict[float, tuple[float, float]]:
 
 
 @pytest.mark.slow
-def test_regions_hold_what_they_promise():
+def test_confidence_regions_have_the_expected_coverage():
     share = coverage(200)  # a thousand trials
     assert share[0.68] == pytest.approx((0.68, 0.68), abs=0.04)
     assert share[0.95] == pytest.approx((0.95, 0.95), abs=0.02)
 
 
-def test_regions_hold_what_they_promise_roughly():
+def test_few_trials_have_about_the_expected_coverage():
     share = coverage(20)  # a hundred trials: standard deviations of 0.047 and 0.022
     assert share[0.68] == pytest.approx((0.68, 0.68), abs=0.14)
     assert share[0.95] == pytest.approx((0.95, 0.95), abs=0.065)
@@ -115,7 +115,7 @@ def test_covariance_is_the_inverse_of_the_whole_normal_matrix():
 
 
 @pytest.mark.parametrize("loss, scale", [("huber", 1.0), ("cauchy", 2.0)])
-def test_a_robust_loss_knows_the_noise_too(loss, scale):
+def test_a_robust_loss_estimates_the_noise_too(loss, scale):
     s = make_scene(400, noise=0.5)
     squared = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t))
     robust = covariance(
@@ -125,7 +125,7 @@ def test_a_robust_loss_knows_the_noise_too(loss, scale):
     torch.testing.assert_close(robust.sigma_deg, squared.sigma_deg, rtol=0.15, atol=0)
 
 
-def test_a_free_focal_length_costs_certainty():
+def test_a_free_focal_length_increases_the_uncertainty():
     s = make_scene(200, noise=0.5)
     fixed = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t))
     free = covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, focal="separate"))
@@ -148,8 +148,7 @@ def test_a_batch_and_vmap_agree_with_single_problems():
     single = [torch.stack(a) for a in zip(*(of_matches(*a) for a in zip(*tensors)))]
     for batch in (of_matches(*tensors), torch.func.vmap(of_matches)(*tensors)):
         for one, many in zip(single, batch):
-            # The minimum is found to about 1e-7 of the cost's square root; rounding depends on the
-            # order of the sums.
+            # The order of the sums depends on the processor: the minimum differs by about 1e-8.
             torch.testing.assert_close(many, one, rtol=1e-5, atol=1e-5 * float(one.abs().max()))
 
 
@@ -176,7 +175,7 @@ def test_the_covariance_has_the_derivatives_of_finite_differences(loss):
     assert torch.autograd.gradcheck(scaled, values, eps=1e-4, atol=1e-3, rtol=1e-3, fast_mode=True)
 
 
-def test_what_cannot_be_known_is_said():
+def test_an_undetermined_problem_raises():
     s = make_scene(5, noise=0.5)
     with pytest.raises(DegenerateGeometryError, match="nothing to estimate the noise"):
         covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, max_iterations=3))
@@ -186,7 +185,7 @@ def test_what_cannot_be_known_is_said():
         covariance(bundle_adjust(x1, x2, s.K1, s.K2, s.R, s.t, max_iterations=3))
 
 
-def test_points_at_infinity_do_not_spoil_the_rest():
+def test_points_at_infinity_do_not_affect_the_others():
     s = make_scene(30)
     ray = torch.tensor([0.1, 0.05, 1.0], dtype=D)  # two pixels that see one direction
     far1, far2 = s.K1 @ ray, s.K2 @ s.R @ ray
