@@ -231,7 +231,7 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
 
 
 def in_chunks(state: State, problem: Problem) -> Iterator[tuple[State, Problem]]:
-    """Yield parts of state and problem whose intermediate tensors fit into the processor's cache."""
+    """Yield parts of the problem whose intermediate tensors fit into the processor's cache."""
     n = problem.x1.shape[-2]
     if n <= _CHUNK:
         yield state, problem
@@ -333,8 +333,8 @@ def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
     l10, l20 = uv / l00, uw / l00
     l11 = (grow * vv - l10 * l10).clamp_min(_TINY).sqrt()
     l21 = (vw - l20 * l10) / l11
-    # The block of a point on the epipole, or beyond a redescending loss, is singular: with the floor
-    # the point does not move.
+    # The block of a point on the epipole, or beyond a redescending loss, is singular: with the
+    # floor the point does not move.
     l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
     return l00, l10, l11, l20, l21, l22
 

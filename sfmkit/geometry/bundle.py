@@ -207,8 +207,8 @@ def _minimise(state: State, problem: Problem, max_iterations: int, polish: int) 
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
-        # After a second step of the points alone, the cost shows the effect of the camera's step: in
-        # a curved valley (a free focal length) this needs a tenth of the iterations.
+        # After a second step of the points alone, the cost shows the effect of the camera's step:
+        # in a curved valley (a free focal length) this needs a tenth of the iterations.
         trial = settle_points(trial, problem, _POINT_DAMPING * damping)
         # The predicted gain of a full step, of the points and then of the camera.
         own = system.Z[..., -1, :, :]
