@@ -6,6 +6,7 @@ import argparse
 import collections
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from fuzz.engine import Ending, Kind, endings, make_input, seeds_of
@@ -18,12 +19,20 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=20_000, help="in all")
     parser.add_argument("--seed", type=int, default=0, help="number of the first input of a kind")
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind")
-    parser.add_argument("--replay", metavar="KIND-NUMBER", help="one input, with its traceback")
+    parser.add_argument(
+        "--replay",
+        metavar="KIND-NUMBER",
+        help="one input with its traceback, by number or as a saved file KIND-NUMBER.input",
+    )
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="for failing inputs")
     chosen = parser.parse_args()
     if chosen.replay:
         name, _, number = chosen.replay.rpartition("-")
-        (ending,) = endings(KINDS[name], range(int(number), int(number) + 1))
+        if Path(chosen.replay).suffix == ".input":
+            name, data = Path(name).name, Path(chosen.replay).read_bytes()
+            (ending,) = endings(replace(KINDS[name], seeds=lambda _: [data]), range(1))
+        else:
+            (ending,) = endings(KINDS[name], range(int(number), int(number) + 1))
         print(f"{ending.outcome}\n{ending.details}")
         return int(ending.is_finding)
     kinds = [KINDS[name] for name in chosen.kind or KINDS]
