@@ -6,16 +6,19 @@ import pytest
 from click.testing import CliRunner
 from small_sweep import InlineEngine, pairs
 
-from sfmkit.ablation import run, sources, worker
+from sfmkit.ablation import run, worker
 from sfmkit.cli import main
+from sfmkit.datasets import DATASETS
 
 
 @pytest.fixture
 def cli(tmp_path, monkeypatch):
     """The command on two small pairs, which go under the name of a data set."""
     monkeypatch.setattr(run, "LocalEngine", InlineEngine)
-    monkeypatch.setattr(
-        sources, "pairs", lambda name, root, sequences: iter(pairs(tmp_path / "images", 2, 0))
+    monkeypatch.setitem(
+        DATASETS._registered,
+        "oxford",
+        lambda root, sequences=None: pairs(tmp_path / "images", 2, 0),
     )
     monkeypatch.setenv("SFMKIT_CACHE", str(tmp_path / "cache"))
     worker._kept.clear()
@@ -86,7 +89,7 @@ def test_bad_input_ends_with_a_message_and_status_2(cli, tmp_path, args, words):
 def test_a_failing_pair_is_said_and_the_status_is_still_0(cli, tmp_path, monkeypatch):
     found = pairs(tmp_path / "images", 2, 0)
     (tmp_path / "images" / "img3.png").write_text("no picture")
-    monkeypatch.setattr(sources, "pairs", lambda name, root, sequences: iter(found))
+    monkeypatch.setitem(DATASETS._registered, "oxford", lambda root, sequences=None: found)
     result = cli(*SWEEP, "--out", str(tmp_path / "out"))
     assert result.exit_code == 0
     assert "text file" in " ".join(result.output.split())

@@ -239,15 +239,15 @@ def test_no_operator(small_pair, tmp_path):
 
 
 def test_an_operator_that_finds_nothing_does_not_stop_the_others(small_pair, tmp_path, monkeypatch):
-    from sfmkit.pipeline import reconstruction as pipeline
+    from sfmkit.pipeline import stages
 
-    real = pipeline.detect
+    real = stages.detect
 
     def fast_finds_nothing(image, name, **options):
         found = real(image, name, **options)
         return found.take(np.zeros(0, int)) if name == "fast-brief" else found
 
-    monkeypatch.setattr(pipeline, "detect", fast_finds_nothing)
+    monkeypatch.setattr(stages, "detect", fast_finds_nothing)
     result = run(*small_pair[:2], out=tmp_path / "o", extra=("--intrinsics", small_pair[2]))
     assert result.exit_code == 0, result.output
     report = json.loads((tmp_path / "o/report.json").read_text())

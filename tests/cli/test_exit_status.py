@@ -54,7 +54,10 @@ def run(words: tuple[str, ...], monkeypatch, work) -> tuple[int, str]:
     """Exit status and standard error of a command whose work is replaced."""
     command = command_at(words)
     monkeypatch.setattr(command, "callback", lambda *_args, **_options: work())
-    required = ["x" for p in command.params if isinstance(p, click.Argument) and p.required]
+    required = []
+    for p in command.params:
+        if p.required:
+            required += ["x"] if isinstance(p, click.Argument) else [p.opts[0], "x"]
     result = CliRunner().invoke(main, [*words, *required])
     return result.exit_code, result.stderr
 

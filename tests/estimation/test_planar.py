@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -20,7 +19,8 @@ def matches(right, wrong, seed=0, noise=0.3):
     """`right` matches of the plane with distinct ratios below those of `wrong` random ones."""
     rng = np.random.default_rng(seed)
     x1 = rng.uniform([40, 40], [760, 600], (right + wrong, 2))
-    x2 = cv2.perspectiveTransform(x1[None], H_TRUE)[0] + rng.normal(0, noise, x1.shape)
+    y = np.c_[x1, np.ones(len(x1))] @ np.asarray(H_TRUE).T
+    x2 = y[:, :2] / y[:, 2:] + rng.normal(0, noise, x1.shape)
     x2[right:] = rng.uniform([0, 0], SIZE, (wrong, 2))
     n = len(x1)
     ratio = np.r_[rng.uniform(0.4, 0.9, right), rng.uniform(0.6, 1.0, wrong)]
