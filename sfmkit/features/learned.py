@@ -93,7 +93,7 @@ class LearnedOperator:
         if small_wh != (w, h):
             rgb = cv2.resize(rgb, small_wh, interpolation=cv2.INTER_AREA)
         device = str(device or "cpu")
-        tensor = torch.from_numpy(np.ascontiguousarray(rgb)).to(device).permute(2, 0, 1)[None]
+        tensor = torch.from_numpy(np.array(rgb)).to(device).permute(2, 0, 1)[None]
         with torch.inference_mode():
             xy, scores, descriptors = self.network(tensor.float() / 255, device=device, **settings)
             descriptors = nn.functional.normalize(descriptors.float(), dim=1)
