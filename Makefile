@@ -27,11 +27,8 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY)
 	$(BIN)/sfmkit demo
 
-# Test processes; each computes on one thread.
-JOBS ?= 2
-
 test: $(READY)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest
 
 # Mutated inputs of every kind that is read; a finding is saved and replayed with REPLAY=KIND-NUMBER.
 INPUTS ?= 20000
