@@ -448,7 +448,7 @@ def test_images_40_000_pixels_wide_or_high(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sift", "kaze", "brisk", "xfeat", "gftt+daisy", "mser+sift"])
+@pytest.mark.parametrize("name", ["sift", "kaze", "brisk", "gftt+daisy", "mser+sift"])
 def test_images_40_000_pixels_wide_slow_operators(name):
     if not available(name)[0]:
         pytest.skip(available(name)[1])
