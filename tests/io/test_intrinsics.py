@@ -456,7 +456,7 @@ def test_intrinsics_of_the_stored_pixels_are_turned(tmp_path, orientation, state
     expected = turned(Camera(np.array(rows), (768, 512)), orientation)
     assert np.array_equal(camera.K, expected.K)
     assert camera.K[0, 0] == 691.04
-    with pytest.raises(CameraError, match="turned|is rotated"):
+    with pytest.raises(CameraError, match=r"turned|is rotated"):
         read(tmp_path, text, (512, 768))  # without the tag nothing shows which way
 
 
