@@ -131,7 +131,8 @@ def coloured(pixels: np.ndarray, *colours: tuple[int, int, int]) -> np.ndarray:
     return np.any([np.abs(pixels - np.array(rgb)).max(-1) < 80 for rgb in colours], axis=0)
 
 
-# The legend strip moved the views; the boxes below were measured before it and must be measured anew.
+# The legend strip moved the views; the boxes below were measured before it and must be measured
+# anew.
 moved_views = pytest.mark.xfail(reason="boxes of the former layout", strict=False)
 
 
