@@ -1,5 +1,4 @@
-"""Results of stages on disk, by content: whoever needs the same thing made in the same way finds
-it.
+"""Results of stages on disk, addressed by the content of everything that they depend on.
 
 A key is the digest of everything that a result depends on (the image's bytes, the operator, its
 options, the version of the code), so an entry is never out of date, and two processes that write

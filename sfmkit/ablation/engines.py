@@ -124,7 +124,7 @@ class LocalEngine:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C is for whoever gives the work
+            start_new_session=True,  # Ctrl-C is for the parent
         )
         self._processes[k] = process
         return process

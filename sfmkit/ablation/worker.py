@@ -1,8 +1,8 @@
-"""A worker: takes a task, carries it out on one thread, and says how it went.
+"""A worker: it takes a task, runs it on one thread, and reports the outcome.
 
 The same function runs in local processes and on a Dask cluster. :func:`main` is the local kind: it
 reads tasks from its input and writes outcomes to its output until the input ends, which it also
-does when whoever started it is killed.
+does when the process that started it is killed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Setup:
     """What a worker has to know besides its task.
 
     Attributes:
-        version: :func:`~.version.engine_version` of whoever plans.
+        version: :func:`~.version.engine_version` of the process that plans.
         cache: folder that all workers see; None where they share no files and results travel as
             bytes.
         plugins: To be loaded by every worker.
@@ -198,8 +198,10 @@ def receive(stream: BinaryIO) -> Any:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Stop in the middle of a task when whoever gave it is gone: the next sweep needs the
-    processor."""
+    """Stop in the middle of a task when the parent has ended.
+
+    The next sweep needs the processor.
+    """
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
