@@ -215,7 +215,7 @@ def test_clusters_without_workers_of_another_version_and_gone_ones(tmp_path, mon
             if progress.what.startswith("orb on"):
                 cluster.stop()
 
-        with pytest.raises(OutputError, match="start again"):
+        with pytest.raises(OutputError, match="run the same command again"):
             ablate(
                 pairs(tmp_path / "images", 1, 0),
                 ["orb"],

@@ -60,6 +60,23 @@ def test_disk_is_what_kornia_loads_itself(photo, kornia_cache):
     np.testing.assert_allclose(found.descriptors, expected.descriptors, atol=1e-4)
 
 
+@pytest.mark.parametrize("cut_wh", [(0, 0), (10, 6)])
+def test_xfeat_is_what_kornia_loads_itself(photo, kornia_cache, cut_wh):
+    from kornia.feature import XFeat
+
+    h, w = np.subtract(photo.shape[:2], cut_wh[::-1])
+    photo = np.ascontiguousarray(photo[:h, :w])
+    image = torch.from_numpy(photo).permute(2, 0, 1)[None].float() / 255
+    expected = XFeat.from_pretrained().eval().detectAndCompute(image, top_k=300)[0]
+    found = detect(photo, "xfeat", top_k=300)
+    # kornia resizes to multiples of 32 and scales back without the half pixel
+    ratio = np.array([w / (w // 32 * 32), h / (h // 32 * 32)])
+    np.testing.assert_allclose(
+        found.keypoints, expected["keypoints"].numpy() + (ratio - 1) / 2, atol=1e-4
+    )
+    np.testing.assert_allclose(found.descriptors, expected["descriptors"], atol=1e-4)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_features_obey_the_contract(photo, name):
     found = detect(photo, name, top_k=200)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -19,7 +20,9 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def photos(demo_images):
-    return [np.ascontiguousarray(read_image(path).rgb[::2, ::2]) for path in demo_images]
+    """The bundled pair at half its size."""
+    half = {"dsize": None, "fx": 0.5, "fy": 0.5, "interpolation": cv2.INTER_AREA}
+    return [cv2.resize(read_image(path).rgb, **half) for path in demo_images]
 
 
 def test_matches_are_those_of_kornia(photos, tmp_path, monkeypatch):
@@ -48,18 +51,28 @@ def test_matches_are_those_of_kornia(photos, tmp_path, monkeypatch):
     assert (found.distance <= 0.9).all()
 
 
+# Shares of matches within 2 and within 8 pixels (of the halved photographs) of their true epipolar
+# line. Measured: aliked 0.991 and 0.996, disk 0.993 and 0.994, xfeat 0.847 and 0.991. XFeat places
+# keypoints on whole pixels, and it describes cells of 8 x 8 pixels: its matches are in the right
+# cell, but often at the neighbour of the right keypoint. Its positions have no offset: half of the
+# matches are within 0.5 pixels, and tests/features/test_learned.py compares them with kornia's.
+SHARES = {"aliked": (0.96, 0.98), "disk": (0.96, 0.98), "xfeat": (0.75, 0.97)}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["aliked", "disk", "xfeat"])
+@pytest.mark.parametrize("name", SHARES)
 def test_most_matches_lie_on_the_true_epipolar_lines(photos, name, demo_fundamental):
     f1, f2 = (detect(photo, name, top_k=800) for photo in photos)
     found = lightglue(f1, f2)
     assert len(found) > 150
-    # pixels of the photographs at full size: every second one was kept
-    x1, x2 = (np.c_[2 * f.keypoints, np.ones(len(f))] for f in (f1, f2))
+    # pixels of the photographs at full size
+    x1, x2 = (np.c_[2 * f.keypoints + 0.5, np.ones(len(f))] for f in (f1, f2))
     x1, x2 = x1[found.index1], x2[found.index2]
     line = x1 @ demo_fundamental.T
-    distance = np.abs((x2 * line).sum(1)) / np.linalg.norm(line[:, :2], axis=1)
-    assert (distance < 4).mean() > 0.85
+    distance = np.abs((x2 * line).sum(1)) / np.linalg.norm(line[:, :2], axis=1) / 2
+    assert np.median(distance) < 0.8
+    assert (distance < 2).mean() > SHARES[name][0]
+    assert (distance < 8).mean() > SHARES[name][1]
 
 
 def test_features_it_was_not_trained_for_are_refused(photos):
