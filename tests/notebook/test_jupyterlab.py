@@ -27,7 +27,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.notebook, pytest.mark.slow, pytes
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 HERE = ("127.0.0.1", "localhost")
-TOP, TITLE, BOTTOM = 64, 28, 30  # pixels: bars of the viewer, title of a view, timeline
 YELLOW = (240, 228, 66)
 OPERATORS = ("orb", "fast-brief")  # of notebook 04
 PATIENCE_S = 120  # on a busy machine
@@ -297,24 +296,19 @@ def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundle
     box = canvas.bounding_box()
     assert box["x"] + box["width"] <= page.viewport_size["width"]
 
-    def drawn() -> bool:
-        shot = epipolar.screenshot("viewer")
-        x0, y0, x1, y1 = (
-            round(v)
-            for v in (box["x"], box["y"], box["x"] + box["width"] / 2, box["y"] + box["height"])
-        )
-        return (
-            len(np.unique(shot[y0 + TOP + TITLE : y1 - BOTTOM, x0:x1].reshape(-1, 3), axis=0))
-            > 1000
-        )
-
-    assert wait_for(drawn, 120, 1), "the viewer stays blank"
     image = read_image(bundled.image1)
     keypoints = np.concatenate([detect(image, name).keypoints for name in OPERATORS]).astype(float)
     w, h = image.size_wh
-    view = np.array([box["width"] / 2, box["height"] - TOP - TITLE - BOTTOM])
-    scale = min(view / (w, h))
-    corner = np.array([box["x"], box["y"] + TOP + TITLE]) + (view - scale * np.array([w, h])) / 2
+    found: list[tuple[int, int, int, int]] = []
+
+    def drawn() -> bool:
+        """Whether the photograph is in the left half of the viewer, with its proportions."""
+        found[:] = [photograph_in(epipolar.screenshot("viewer"), box)]
+        x0, y0, x1, y1 = found[0]
+        return x1 - x0 > 200 and abs((x1 - x0) * h - (y1 - y0) * w) < 4 * w
+
+    assert wait_for(drawn, 120, 1), f"the viewer shows no photograph: {found}"
+    corner, scale = np.array(found[0][:2]), (found[0][2] - found[0][0]) / w
     seen: list[np.ndarray] = []
     before, _ = epipolar.explored()
 
@@ -346,6 +340,28 @@ def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundle
     assert np.abs(keypoints - x1).max(1).min() < 1e-2, "the marked pixel is not a keypoint"
     assert np.linalg.norm(x1 - seen[0]) < 8 / scale
     assert_the_line_is_true(bundled, x1, ends)
+
+
+def photograph_in(shot: np.ndarray, box: dict[str, float]) -> tuple[int, int, int, int]:
+    """Find the photograph in the left half of the viewer: x0, y0, x1, y1 in pixels of the screen.
+
+    The photograph covers the rows and columns that are mostly not of the background's colour.
+    """
+    left, top = round(box["x"]), round(box["y"])
+    half = shot[top : top + round(box["height"]), left : left + round(box["width"] / 2)]
+    colours, counts = np.unique(half.reshape(-1, 3), axis=0, return_counts=True)
+    covered = np.abs(half - colours[counts.argmax()]).max(-1) > 8
+    rows = longest_run(covered.mean(1) > 0.6)
+    columns = longest_run(covered[slice(*rows)].mean(0) > 0.6)
+    return left + columns[0], top + rows[0], left + columns[1], top + rows[1]
+
+
+def longest_run(flags: np.ndarray) -> tuple[int, int]:
+    """The start and the end of the longest run of true values; (0, 0) if there is none."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(int)))
+    runs = edges.reshape(-1, 2)
+    longest = runs[(runs[:, 1] - runs[:, 0]).argmax()] if len(runs) else (0, 0)
+    return int(longest[0]), int(longest[1])
 
 
 def most_isolated(x: np.ndarray, n: int) -> np.ndarray:
