@@ -41,10 +41,10 @@ from .log_photos import (
     side_by_side,
 )
 from .log_steps import log_ransac
+from .read import SCHEMA
 from .stream import MAGENTA, columns, drain, new_stream, put
 from .trace import Trace, matches_to_rows, trace, trace_keypoints
 
-SCHEMA = 2  # of the recording; docs/recording.md says what each number means
 MAX_SURVIVORS = 2500  # dots of an image at one stage; more hide the photograph
 MAX_CURRENT = 150  # lines of the matches at one stage
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,9 +15,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from rerun.chunk import Chunk, RrdReader
 
 from ..errors import InputError
+from . import _reader
+
+SCHEMA = 2  # of recordings; docs/recording.md says what each number means
 
 # followed by the version of Rerun that wrote the file: major, minor, patch, kind of release
 _MAGIC = b"RRF2"
@@ -52,7 +55,7 @@ class Recording:
         entities: sorted paths of the logged entities, without the viewer's internal ones.
     """
 
-    def __init__(self, path: Path, chunks: Mapping[str, list[Chunk]]):
+    def __init__(self, path: Path, chunks: Mapping[str, list[pa.RecordBatch]]):
         self.path = path
         self._chunks = chunks
         self.entities = tuple(sorted(chunks))
@@ -80,14 +83,10 @@ class Recording:
                 f"{self.path} has no entity {entity}.{hint} It has {len(self.entities)} in all."
             )
         found: list[tuple[int, bytes, Logged]] = []
-        for chunk in self._chunks[entity]:
-            batch = chunk.to_record_batch()
-            timelines = [n for n in chunk.timeline_names if n in batch.schema.names]
-            names = [
-                n
-                for n in batch.schema.names
-                if n not in timelines and not n.startswith("rerun.controls")
-            ]
+        for batch in self._chunks[entity]:
+            kinds = {f.name: (f.metadata or {}).get(b"rerun:kind") for f in batch.schema}
+            timelines = [name for name, kind in kinds.items() if kind == b"index"]
+            names = [name for name, kind in kinds.items() if kind == b"data"]
             for row in range(batch.num_rows):
                 times = {n: _integer(batch[n][row]) for n in timelines if batch[n][row].is_valid}
                 order = (times.get("stage", -1), batch[_ROW][row].as_py())
@@ -116,8 +115,6 @@ class Recording:
         Raises:
             RecordingError: the report does not exist or follows another schema.
         """
-        from .log import SCHEMA
-
         if f"{prefix}/report" not in self:
             others = self.prefixes()
             hint = (
@@ -153,14 +150,10 @@ def read_recording(path: str | Path) -> Recording:
             f"{path} was written by Rerun {_dotted(written)}, this is Rerun {_dotted(here)}: use "
             f"the environment that wrote it, or install rerun-sdk {_dotted(written)}"
         )
-    chunks: dict[str, list[Chunk]] = {}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # for a truncated file the reader only warns
-            for chunk in RrdReader(path).stream():
-                if not chunk.entity_path.startswith("/__"):
-                    chunks.setdefault(chunk.entity_path, []).append(chunk)
-    except (RuntimeError, ValueError, Warning) as error:
+    # -P: the modules beside the script must not hide others of the same name.
+    command = [sys.executable, "-P", _reader.__file__, str(path)]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    if done.returncode == _reader.DAMAGED or done.returncode < 0:
         if written < here:
             hint = (
                 f"it was written by Rerun {_dotted(written)}, this is {_dotted(here)}; try "
@@ -171,7 +164,15 @@ def read_recording(path: str | Path) -> Recording:
                 "it is cut off or damaged, perhaps because writing or copying it was interrupted; "
                 "write or fetch it again"
             )
-        raise RecordingError(f"{path} cannot be read: {hint}") from error
+        raise RecordingError(f"{path} cannot be read: {hint}")
+    if done.returncode:
+        raise RuntimeError(f"Rerun's reader failed: {done.stderr.decode(errors='replace')[-2000:]}")
+    chunks: dict[str, list[pa.RecordBatch]] = {}
+    source = pa.BufferReader(done.stdout)
+    while source.tell() < source.size():
+        (batch,) = pa.ipc.open_stream(source)
+        entity = batch.schema.metadata[b"rerun:entity_path"].decode()
+        chunks.setdefault(entity, []).append(batch)
     return Recording(path, chunks)
 
 

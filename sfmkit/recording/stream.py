@@ -16,6 +16,7 @@ from rerun.chunk import RrdReader
 from .._utils.writing import atomic_write
 from ..errors import InputError, OutputError
 from ..types import Camera
+from .read import read_recording
 
 STAGES = ("read", "detect", "match", "fuse", "estimate", "pose", "triangulate", "refine")
 GREY = (128, 128, 128)
@@ -102,10 +103,12 @@ def merge_recordings(
     """Write the contents of several recordings with the same id to one file, the last one on top.
 
     Raises:
-        InputError: no sources, or sources with different recording ids.
+        InputError: no sources, sources with different recording ids, or a damaged one.
         OutputError: the file cannot be written.
     """
     path = Path(path)
+    for source in sources:
+        read_recording(source)  # a damaged file would abort this process
     names = {name for source in sources for name in recording_ids(source)}
     if len(names) != 1:
         raise InputError(

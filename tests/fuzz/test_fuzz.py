@@ -21,11 +21,7 @@ else:
 INPUTS = 16  # of each kind
 
 
-# Not recordings: a panic in Rerun's reader ends the process at some of them (docs/robustness.md).
-QUICK = sorted(set(KINDS) - {"recording"})
-
-
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", sorted(KINDS))
 def test_every_input_is_accepted_or_refused_with_a_message(name):
     found = list(endings(KINDS[name], range(INPUTS)))
     assert [ending.number for ending in found] == list(range(INPUTS))

@@ -5,10 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import signal
 import tarfile
 import zipfile
+from functools import partial
 from pathlib import Path
 from random import Random
+from subprocess import CompletedProcess
+from typing import Any
+from unittest import mock
 
 import numpy as np
 from fuzz.engine import Kind, write
@@ -45,14 +51,36 @@ def _recordings(folder: Path) -> list[bytes]:
 
 
 def _read_recording(data: bytes, folder: Path) -> None:
-    from sfmkit.recording import read_recording
+    from sfmkit.recording import read, read_recording
     from sfmkit.recording.inspection import describe_recording
 
     path = write(folder / "a.rrd", data)
-    recording = read_recording(path)
-    for entity in recording.entities[:20]:
-        recording.logged(entity)
-    describe_recording(path)
+    # Forked instead of started, because a new process needs half a second to import Rerun.
+    with mock.patch.object(read.subprocess, "run", partial(_fork_reader, folder / "chunks")):
+        recording = read_recording(path)
+        for entity in recording.entities:
+            recording.logged(entity)
+        describe_recording(path)
+
+
+def _fork_reader(out: Path, command: list[str], **_: Any) -> CompletedProcess:
+    from sfmkit.recording import _reader
+
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            with out.open("wb") as stream:
+                status = _reader.write_chunks(command[-1], stream)
+        finally:
+            os._exit(status)
+    try:
+        _, status = os.waitpid(child, 0)
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        raise
+    return CompletedProcess(command, os.waitstatus_to_exitcode(status), out.read_bytes(), b"")
 
 
 # --- archives
