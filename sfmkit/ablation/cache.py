@@ -21,7 +21,7 @@ from .entry import DamagedEntry, Entry
 
 VARIABLE = "SFMKIT_CACHE"
 DEFAULT_LIMIT = 8 << 30  # bytes
-KINDS = ("features", "matches", "estimates", "pairs")
+KINDS = ("features", "matches", "estimates", "geometries", "pairs")
 _LEFTOVER_S = 3600.0  # temporary files older than this belong to nobody who lives
 _ROOM = 0.9  # of the limit is left after tidying, so that it is not done for every file
 

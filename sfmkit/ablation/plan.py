@@ -18,7 +18,7 @@ from ..matching.plugins import matcher_of
 from .cache import Cache
 from .plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
 from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
-from .tasks import DetectTask, EstimateTask, Job, MatchTask, Task, estimate_key
+from .tasks import DetectTask, EstimateTask, Job, MatchTask, PairTask, Task, estimate_key
 from .variants import MATCHER as MATCHER_SETTING
 from .variants import Combination, Variant, choose_combinations, choose_variants
 from .version import digest, engine_version
@@ -149,6 +149,8 @@ def cost(task: Task) -> float:
     if isinstance(task, MatchTask):
         n1, n2 = (_keypoints(d) for d in task.needs)
         return _MATCH_S * n1 * n2
+    if isinstance(task, PairTask):
+        return _ESTIMATE_S[False] + sum(cost(match) for match in task.matches.values())
     return _ESTIMATE_S[task.homography] * len(task.jobs)
 
 

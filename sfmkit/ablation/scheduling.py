@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from .tasks import EstimateTask, MatchTask, Task
+from .tasks import DetectTask, EstimateTask, MatchTask, Task
 
 
 def all_needs(task: Task) -> dict[str, Task]:
@@ -109,6 +109,6 @@ class Agenda:
         elif reason := next((self.failed[t.key] for t in task.needs if t.key in self.failed), ""):
             self._settle(key, reason)
             return
-        rank = 2 if isinstance(task, EstimateTask) else 1 if isinstance(task, MatchTask) else 0
+        rank = 0 if isinstance(task, DetectTask) else 1 if isinstance(task, MatchTask) else 2
         self._under_way.add(task.key)
         heapq.heappush(self._ready, (priority, rank, next(self._number), task))

@@ -26,8 +26,9 @@ from ..pipeline.stages import estimate_geometry, fuse_all
 from ..types import Correspondences, Features, Matches, Verdict
 from .cache import Cache
 from .entry import Entry
+from .geometries import make_geometry
 from .memory import PeakMemory
-from .tasks import DetectTask, EstimateTask, ImageRef, Job, MatchTask
+from .tasks import DetectTask, EstimateTask, ImageRef, Job, MatchTask, PairTask
 
 MEMORY = 512 << 20  # bytes of arrays that a worker keeps at hand
 _FEATURES = ("keypoints", "scales", "angles", "scores", "descriptors")
@@ -54,20 +55,16 @@ class Store:
         self.cache, self.inputs, self.images, self.say = cache, inputs or {}, images or {}, say
         self._kept: OrderedDict[str, Entry] = OrderedDict() if kept is None else kept
 
-    def result(self, task: DetectTask | MatchTask) -> Entry:
+    def result(self, task: DetectTask | MatchTask | PairTask) -> Entry:
         found = self._find(task)
         if found is None:
-            found = (
-                make_features(task, self)
-                if isinstance(task, DetectTask)
-                else make_matches(task, self)
-            )
+            found = make(task, self)
             if self.cache is not None:
                 self.cache.put(task.kind, found)
         self._keep(found)
         return found
 
-    def _find(self, task: DetectTask | MatchTask) -> Entry | None:
+    def _find(self, task: DetectTask | MatchTask | PairTask) -> Entry | None:
         if task.key in self._kept:
             return self._kept[task.key]
         if task.key in self.inputs:
@@ -84,6 +81,20 @@ class Store:
         if ref.digest not in self.images:
             return read_image(ref.path)
         return decode_image(self.images[ref.digest], Path(ref.path))
+
+
+def make(task: DetectTask | MatchTask | PairTask, store: Store) -> Entry:
+    """Compute the result of a task from the results that it needs."""
+    if isinstance(task, DetectTask):
+        return make_features(task, store)
+    if isinstance(task, MatchTask):
+        return make_matches(task, store)
+    features = {
+        name: (features_of(store.result(match.first)), features_of(store.result(match.second)))
+        for name, match in task.matches.items()
+    }
+    masks = [None if mask is None else store.image(mask).grey for mask in task.masks]
+    return make_geometry(task, features, (masks[0], masks[1]))
 
 
 def make_features(task: DetectTask, store: Store) -> Entry:

@@ -7,6 +7,7 @@ five detections per image and five matchings per pair.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..matching.plugins import matcher_of
-from ..options import MatchOptions, as_plain
+from ..options import EstimateOptions, FuseOptions, MatchOptions, as_plain
 from ..types import Camera
 from .variants import Combination, Setting, Variant
 from .version import digest, stage_version
@@ -155,7 +156,64 @@ class EstimateTask:
         return f"{len(self.jobs)} estimates"
 
 
-Task = DetectTask | MatchTask | EstimateTask
+@dataclass(frozen=True, eq=False)
+class PairTask:
+    """The matching of all operators on one pair of a folder, its fusion and its geometry.
+
+    The result is one entry for each pair: a folder of many photographs has many pairs, and an entry
+    for each operator and pair would be as many small files.
+
+    Attributes:
+        matches: operator -> the recipe of its matches; they are part of the result.
+        cameras: of both images.
+        masks: of both images, or None; keypoints on black pixels of a mask are not used.
+        fuse, estimate: options of the stages.
+        code: Of the estimator, see :class:`sfmkit.ablation.plugins.PlugIn`.
+        seed: Of the robust estimation.
+    """
+
+    matches: Mapping[str, MatchTask]
+    cameras: tuple[Camera, Camera]
+    masks: tuple[ImageRef | None, ImageRef | None]
+    fuse: FuseOptions
+    estimate: EstimateOptions
+    code: str = ""
+    seed: int = 0
+    kind = "geometries"
+
+    @cached_property
+    def key(self) -> str:
+        return digest(
+            "geometry",
+            stage_version("geometries"),
+            [[name, match.key] for name, match in self.matches.items()],
+            [_camera_numbers(camera) for camera in self.cameras],
+            [mask and mask.digest for mask in self.masks],
+            [as_plain(self.fuse), as_plain(self.estimate)],
+            [self.code, self.seed],
+        )
+
+    @property
+    def needs(self) -> tuple[DetectTask, ...]:
+        return tuple(detection for match in self.matches.values() for detection in match.needs)
+
+    def __str__(self) -> str:
+        detections = next(iter(self.matches.values())).needs
+        return " and ".join(d.image.path.rpartition("/")[2] for d in detections)
+
+
+Task = DetectTask | MatchTask | EstimateTask | PairTask
+
+
+def _camera_numbers(camera: Camera) -> list[Any]:
+    """What an estimate depends on; the uncertainty of the intrinsics shapes that of the pose."""
+    sigma = camera.uncertainty
+    return [
+        np.asarray(camera.K).tolist(),
+        np.asarray(camera.distortion).tolist(),
+        camera.model,
+        [sigma.focal, sigma.principal_point, sigma.k1],
+    ]
 
 
 def estimate_key(

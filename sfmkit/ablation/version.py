@@ -28,8 +28,10 @@ STAGES = {
     "pairs": ("datasets",),
     "matches": ("matching",),
     "estimates": ("estimation", "pipeline"),
+    "geometries": ("matching", "estimation", "pipeline"),
 }
-_ALWAYS = Path(__file__).with_name("stages.py")  # calls the stages
+# these call the stages
+_ALWAYS = tuple(Path(__file__).with_name(name) for name in ("stages.py", "geometries.py"))
 
 
 @cache
@@ -55,7 +57,7 @@ def dependencies(stage: str) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """
     waiting, found = [*STAGES[stage]], set(STAGES[stage])
     libraries: set[str] = set()
-    files = [_ALWAYS]
+    files = [*_ALWAYS]
     while waiting:
         for file in _files(waiting.pop()):
             files.append(file)

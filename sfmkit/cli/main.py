@@ -34,6 +34,7 @@ COMMANDS = {
     "report": ("report", "report"),
     "density": ("density", "density"),
     "compare": ("compare", "compare"),
+    "pairs": ("pairs", "pairs"),
     "ablate": ("ablate", "ablate"),
     "cache": ("cache", "cache"),
 }

@@ -8,6 +8,7 @@ __all__ = [
     "cameras",
     "colmap",
     "exif",
+    "header",
     "images",
     "intrinsics",
     "jpeg",

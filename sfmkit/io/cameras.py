@@ -11,6 +11,7 @@ import numpy as np
 from .._utils.notices import warn
 from ..types import Camera, IntrinsicsSigma
 from .exif import Exif
+from .header import ImageHeader
 from .images import Image
 from .sensors import sensor_width
 
@@ -40,7 +41,7 @@ class FocalSource:
     survives_resizing: bool = True
 
 
-def camera_from_exif(image: Image) -> Camera:
+def camera_from_exif(image: Image | ImageHeader) -> Camera:
     """Return the camera of a photograph from its metadata.
 
     Square pixels, the principal point in the centre, no distortion. The sources of the focal length
@@ -107,7 +108,7 @@ def _largest_group(sources: list[FocalSource]) -> list[FocalSource]:
     return max(groups, key=lambda group: (len(group), any(s.survives_resizing for s in group)))
 
 
-def _sources(exif: Exif, image: Image) -> list[FocalSource]:
+def _sources(exif: Exif, image: Image | ImageHeader) -> list[FocalSource]:
     """The sources of the focal length, the most precise first; in pixels of the image."""
     taken = _taken_size(exif, image)
     scale = max(image.size_wh) / max(taken)
@@ -138,7 +139,7 @@ def _nearer(one: float, two: float, to: float) -> bool:
     return abs(math.log(one / to)) < abs(math.log(two / to))
 
 
-def _taken_size(exif: Exif, image: Image) -> tuple[int, int]:
+def _taken_size(exif: Exif, image: Image | ImageHeader) -> tuple[int, int]:
     """The size at which the photograph was taken, where EXIF has it, else the image's own; in
     either order."""
     if exif.size_wh is None:
@@ -154,7 +155,7 @@ def _taken_size(exif: Exif, image: Image) -> tuple[int, int]:
 
 
 def _warn_of_unknown_size(
-    chosen: FocalSource, sources: list[FocalSource], exif: Exif, image: Image
+    chosen: FocalSource, sources: list[FocalSource], exif: Exif, image: Image | ImageHeader
 ) -> None:
     """Warn where nothing shows whether numbers in pixels belong to this size."""
     if exif.size_wh is None and not any(s.survives_resizing for s in sources):

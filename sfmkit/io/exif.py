@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,8 @@ _MAKE, _MODEL, _ORIENTATION, _EXIF_IFD = 0x010F, 0x0110, 0x0112, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
 _PLANE_X, _PLANE_Y, _PLANE_UNIT = 0xA20E, 0xA20F, 0xA210
 _SIZE_X, _SIZE_Y = 0xA002, 0xA003
+_GPS_IFD = 0x8825
+_LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 _UNIT_MM = {3: 10.0, 4: 1.0, 5: 0.001}  # every other value of the unit tag means inches
 _MAX_SIDE = 1_000_000  # pixels; a larger size is a damaged tag
 _XMP_BYTES = 1_000_000  # of an XMP packet that are searched; real packets have some kilobytes
@@ -41,6 +44,8 @@ class Exif:
             factory calibration (XMP ``drone-dji:CalibratedFocalLength``).
         relative_altitude_m: height above the take-off point, m (XMP
             ``drone-dji:RelativeAltitude``).
+        position: latitude and longitude, degrees, north and east positive (WGS 84), and altitude,
+            m; the altitude is NaN where there is none.
         gimbal_deg: yaw, pitch and roll of the gimbal, degrees (XMP ``drone-dji:Gimbal...Degree``).
     """
 
@@ -56,6 +61,7 @@ class Exif:
     calibrated_focal_px: float | None = None
     relative_altitude_m: float | None = None
     gimbal_deg: tuple[float, float, float] | None = None
+    position: tuple[float, float, float] | None = None
 
 
 def read_exif(picture: PIL.Image.Image) -> Exif | None:
@@ -92,7 +98,33 @@ def read_exif(picture: PIL.Image.Image) -> Exif | None:
         calibrated_focal_px=calibrated if calibrated and calibrated > 0 else None,
         relative_altitude_m=_dji(xmp, "RelativeAltitude"),
         gimbal_deg=None if None in gimbal else tuple(gimbal),  # type: ignore[arg-type]
+        position=_position(picture),
     )
+
+
+def _position(picture: PIL.Image.Image) -> tuple[float, float, float] | None:
+    """Where the photograph was taken, by the GPS tags; the altitude is NaN where it is missing."""
+    try:
+        tags = picture.getexif().get_ifd(_GPS_IFD)
+        angles = []
+        for value, reference, south_or_west, most in (
+            (_LATITUDE, _LATITUDE_REF, "S", 90.0),
+            (_LONGITUDE, _LONGITUDE_REF, "W", 180.0),
+        ):
+            degrees, minutes, seconds = (float(v) for v in tags[value])
+            angle = degrees + minutes / 60 + seconds / 3600
+            if not abs(angle) <= most:
+                return None
+            angles.append(-angle if str(tags.get(reference)).startswith(south_or_west) else angle)
+    except Exception:  # Pillow's parser raises almost anything on damaged blocks
+        return None
+    if angles == [0.0, 0.0]:  # what receivers without a fix write
+        return None
+    altitude = math.nan
+    with suppress(Exception):
+        below = tags.get(_ALTITUDE_REF, b"\0") in (1, b"\1")
+        altitude = float(tags[_ALTITUDE]) * (-1 if below else 1)
+    return (angles[0], angles[1], altitude)
 
 
 def _stored_size(picture: PIL.Image.Image, orientation: int) -> tuple[int, int]:

@@ -215,7 +215,7 @@ def _near_names(path: Path) -> str:
 def _open(data: bytes, path: Path) -> PIL.Image.Image:
     """The picture with its header read and its pixels still encoded, checked to be of a bearable
     size."""
-    with _no_pillow_limit():
+    with no_pillow_limit():
         try:
             picture = PIL.Image.open(io.BytesIO(data), formats=FORMATS)
         except UnidentifiedImageError:
@@ -229,7 +229,7 @@ def _open(data: bytes, path: Path) -> PIL.Image.Image:
 
 
 @contextmanager
-def _no_pillow_limit():
+def no_pillow_limit():
     """Switch off Pillow's own limit (a warning from 89 megapixels on, an error from 179 on); one
     thread at a time."""
     with _pillow_limit:
@@ -269,7 +269,7 @@ def _decode(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarray:
         if pixels is not None:
             return pixels
     if picture.width * picture.height > (PIL.Image.MAX_IMAGE_PIXELS or MAX_PIXELS):
-        with _no_pillow_limit():  # TIFF checks the size again while it decodes
+        with no_pillow_limit():  # TIFF checks the size again while it decodes
             picture.load()
     else:
         picture.load()

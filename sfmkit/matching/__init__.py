@@ -1,6 +1,6 @@
 """Stage 2, Features -> Matches -> Correspondences: nearest neighbours, guided matching, fusion."""
 
-from .fusion import fuse
+from .fusion import absorb, find_leaders, fuse
 from .guided import match_guided
 from .nearest import match
 from .plugins import (
@@ -18,7 +18,9 @@ __all__ = [
     "MATCHER_PLUGINS",
     "Matcher",
     "MatcherInfo",
+    "absorb",
     "choose_matchers",
+    "find_leaders",
     "fuse",
     "list_matchers",
     "match",

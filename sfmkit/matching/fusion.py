@@ -9,7 +9,7 @@ degenerate. Here coincident correspondences are merged into one that carries all
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -52,10 +52,9 @@ def fuse(
         InputError: no or too many operators, matches outside the features, images of different
             sizes, a bad radius.
     """
-    _check(matches, merge_radius)
+    leader = find_leaders(matches, merge_radius=merge_radius, cost=cost)
     per_operator = list(matches.values())
-    x1 = np.concatenate([f1.keypoints[m.index1] for f1, _, m in per_operator]).astype(np.float64)
-    x2 = np.concatenate([f2.keypoints[m.index2] for _, f2, m in per_operator]).astype(np.float64)
+    x1, x2 = _positions(per_operator)
     distance, ratio = (
         np.concatenate([getattr(m, name) for *_, m in per_operator])
         for name in ("distance", "ratio")
@@ -66,15 +65,6 @@ def fuse(
     )
     operator_id = np.repeat(np.arange(len(matches)), [len(m) for _, _, m in per_operator])
     mask = np.left_shift(1, operator_id)
-
-    if merge_radius is None:
-        leader = np.arange(len(x1))
-    else:
-        name_order = np.argsort(np.argsort(list(matches)))[operator_id]
-        rank = np.empty(len(x1), dtype=np.int64)
-        worth = ratio if cost is None else np.concatenate([cost[name] for name in matches])
-        rank[np.lexsort((index2, index1, name_order, worth))] = np.arange(len(x1))  # NaN sorts last
-        leader = _leaders(*_coincident(x1, x2, merge_radius), rank)
     np.bitwise_or.at(mask, leader, mask.copy())
     kept = leader == np.arange(len(x1))
 
@@ -99,6 +89,51 @@ def fuse(
         operators=tuple(matches),
         counts=counts,
     )
+
+
+def find_leaders(
+    matches: Mapping[str, tuple[Features, Features, Matches]],
+    *,
+    merge_radius: float | None = 1.0,
+    cost: Mapping[str, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Find the match that represents each match after the merging of :func:`fuse`.
+
+    Args:
+        matches, merge_radius, cost: As for :func:`fuse`.
+
+    Returns:
+        (M,) int64 rows into the matches of all operators, in their order; a match that is kept has
+        its own row.
+
+    Raises:
+        InputError: As :func:`fuse`.
+    """
+    _check(matches, merge_radius)
+    per_operator = list(matches.values())
+    x1, x2 = _positions(per_operator)
+    if merge_radius is None:
+        return np.arange(len(x1))
+    index1, index2, ratio = (
+        np.concatenate([getattr(m, name) for *_, m in per_operator])
+        for name in ("index1", "index2", "ratio")
+    )
+    name_order = np.repeat(
+        np.argsort(np.argsort(list(matches))), [len(m) for _, _, m in per_operator]
+    )
+    rank = np.empty(len(x1), dtype=np.int64)
+    worth = ratio if cost is None else np.concatenate([cost[name] for name in matches])
+    rank[np.lexsort((index2, index1, name_order, worth))] = np.arange(len(x1))  # NaN sorts last
+    return absorb(*_coincident(x1, x2, merge_radius), rank)
+
+
+def _positions(
+    per_operator: Sequence[tuple[Features, Features, Matches]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """The (M, 2) float64 pixels of the matches of all operators in image 1 and image 2."""
+    x1 = np.concatenate([f1.keypoints[m.index1] for f1, _, m in per_operator])
+    x2 = np.concatenate([f2.keypoints[m.index2] for _, f2, m in per_operator])
+    return x1.astype(np.float64), x2.astype(np.float64)
 
 
 def _check(
@@ -135,7 +170,7 @@ def _coincident(x1: np.ndarray, x2: np.ndarray, radius: float) -> tuple[np.ndarr
     return u[near], v[near]
 
 
-def _leaders(u: np.ndarray, v: np.ndarray, rank: np.ndarray) -> np.ndarray:
+def absorb(u: np.ndarray, v: np.ndarray, rank: np.ndarray) -> np.ndarray:
     """The representative of every node when the best-ranked node absorbs its neighbours, then the
     best of the rest, ...
 

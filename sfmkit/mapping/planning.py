@@ -1,0 +1,228 @@
+"""The work on a folder, laid out: its pairs, and the recipe of each of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..ablation.plan import cost
+from ..ablation.plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
+from ..ablation.tasks import DetectTask, ImageRef, MatchTask, PairTask
+from ..ablation.variants import Setting
+from ..errors import InputError
+from ..features import OPERATOR_PLUGINS, available
+from ..matching import choose_matchers, matcher_of
+from ..options import DEFAULT, Options
+from ..types import MAX_OPERATORS
+from .collection import Collection
+from .retrieval import BUDGET, MAX_SIZE
+from .shared_cameras import SharedCameras
+
+__all__ = ["FolderPlan", "Recipe", "check_operators", "make_recipe"]
+
+_NO_IMAGE = ""  # digest of a reference that only carries the size
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How every photograph and every pair is treated.
+
+    Attributes:
+        operators: Their order is that of the bits of masks.
+        options: Of all stages.
+        plugins: By kind and name.
+        descriptor: The operator whose features decide how similar photographs are.
+        seed: Of the robust estimation.
+    """
+
+    operators: tuple[str, ...]
+    options: Options
+    plugins: Mapping[tuple[str, str], PlugIn]
+    descriptor: str = "sift"
+    seed: int = 0
+
+    @property
+    def foreign_plugins(self) -> tuple[PlugIn, ...]:
+        """The plug-ins that are not part of sfmkit, which workers have to load."""
+        return tuple(p for p in self.plugins.values() if not REGISTRIES[p.kind].is_built_in(p.name))
+
+    def detection(self, image: ImageRef, operator: str) -> DetectTask:
+        detect = self.options.detect
+        own = tuple(sorted(detect.overrides.get(operator, {}).items()))
+        setting = Setting(operator, detect.preset, detect.budget, detect.max_size, own)
+        return DetectTask(image, setting, self.plugins[OPERATOR, operator].code)
+
+    def overview(self, image: ImageRef) -> DetectTask:
+        """The detection of the few features by which photographs are compared."""
+        setting = Setting(self.descriptor, "default", BUDGET, MAX_SIZE)
+        return DetectTask(image, setting, self.plugins[OPERATOR, self.descriptor].code)
+
+    def matching(self, first: ImageRef, second: ImageRef, operator: str) -> MatchTask:
+        match = self.options.match
+        code = self.plugins[MATCHER, matcher_of(operator, match)].code
+        return MatchTask(
+            self.detection(first, operator), self.detection(second, operator), match, code
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The recipe for reports."""
+        from ..options import as_plain
+
+        return {
+            "operators": list(self.operators),
+            "options": as_plain(self.options),
+            "plugins": {f"{p.kind} {p.name}": p.code for p in self.plugins.values()},
+            "seed": self.seed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FolderPlan:
+    """The pairs of a folder and how they are treated.
+
+    Attributes:
+        collection: The photographs.
+        cameras: Of the photographs.
+        recipe: How they are treated.
+        rules: The rules that chose the pairs, as text.
+        pairs: (P, 2) int64 indices of photographs, i < j.
+    """
+
+    collection: Collection
+    cameras: SharedCameras
+    recipe: Recipe
+    rules: str
+    pairs: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def task(self, row: int) -> PairTask:
+        """The recipe of a pair. The first use of a photograph hashes its bytes."""
+        i, j = (int(k) for k in self.pairs[row])
+        first, second = self.collection.ref(i), self.collection.ref(j)
+        masks = (self.collection.mask_ref(i), self.collection.mask_ref(j))
+        return self._task(first, second, (i, j), masks)
+
+    def _task(
+        self,
+        first: ImageRef,
+        second: ImageRef,
+        pair: tuple[int, int],
+        masks: tuple[ImageRef | None, ImageRef | None],
+    ) -> PairTask:
+        recipe = self.recipe
+        estimate = recipe.options.estimate
+        return PairTask(
+            {name: recipe.matching(first, second, name) for name in recipe.operators},
+            (self.cameras[pair[0]], self.cameras[pair[1]]),
+            masks,
+            recipe.options.fuse,
+            estimate,
+            recipe.plugins[ESTIMATOR, estimate.backend].code,
+            recipe.seed,
+        )
+
+    def detection(self, photograph: int, operator: str) -> DetectTask:
+        """The detection of an operator in a photograph."""
+        return self.recipe.detection(self.collection.ref(photograph), operator)
+
+    @cached_property
+    def used(self) -> np.ndarray:
+        """The photographs that occur in a pair, sorted."""
+        return np.unique(self.pairs)
+
+    def seconds(self) -> float:
+        """Rough cost of everything on one thread; no file is read for it."""
+        bare = [ImageRef(_NO_IMAGE, "", p.size_wh) for p in self.collection.photographs]
+        total = sum(
+            cost(self.recipe.detection(bare[k], name))
+            for k in self.used
+            for name in self.recipe.operators
+        )
+        by_sizes: dict[Any, float] = {}
+        for i, j in self.pairs.tolist():
+            sizes = (bare[i].size_wh, bare[j].size_wh)
+            if sizes not in by_sizes:
+                by_sizes[sizes] = cost(self._task(bare[i], bare[j], (i, j), (None, None)))
+            total += by_sizes[sizes]
+        return total
+
+    def part(self, number: int, of: int) -> FolderPlan:
+        """The pairs of shard `number`, 1 to `of`: consecutive rows, in sizes that differ by one.
+
+        Raises:
+            InputError: There are fewer pairs than shards.
+        """
+        if of > len(self):
+            raise InputError(f"{len(self)} pairs cannot be split into {of} shards")
+        rows = np.array_split(self.pairs, of)[number - 1]
+        return replace(self, pairs=rows)
+
+
+def check_operators(operators: Sequence[str]) -> tuple[str, ...]:
+    """The canonical names of operators that can run here, each once.
+
+    Raises:
+        InputError: None, too many, or one that is unknown or not available.
+    """
+    names = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
+    if not 1 <= len(names) <= MAX_OPERATORS:
+        raise InputError(f"name 1 to {MAX_OPERATORS} operators, not {len(names)}")
+    for name in names:
+        usable, reason = available(name)
+        if not usable:
+            raise InputError(f"operator '{name}' is not available here: {reason}")
+    return names
+
+
+def make_recipe(
+    operators: Sequence[str],
+    *,
+    options: Options = DEFAULT,
+    matchers: str | Mapping[str, str] | None = None,
+    descriptor: str = "sift",
+    seed: int = 0,
+) -> Recipe:
+    """Check operators, matchers and options, and find their plug-ins.
+
+    Args:
+        operators, matchers: Names or import paths, as for :func:`sfmkit.reconstruct`.
+        options: Of all stages.
+        descriptor: The operator by which photographs are compared.
+        seed: Of the robust estimation.
+
+    Raises:
+        InputError: One of them is unknown or cannot be used, or `seed` is out of range.
+    """
+    names = check_operators(operators)
+    (descriptor,) = check_operators([descriptor])
+    if not 0 <= seed < 2**31:
+        raise InputError(f"seed must be from 0 to 2^31 - 1, not {seed}")
+    if isinstance(matchers, Mapping):
+        matchers = {OPERATOR_PLUGINS.canonical(name): matcher for name, matcher in matchers.items()}
+    match = choose_matchers(options.match, matchers)
+    unused = [name for name in match.matchers if name not in names]
+    if unused:
+        raise InputError(f"a matcher for operators that are not used: {', '.join(unused)}")
+    options = replace(options, match=match)
+    wanted = [(OPERATOR, name) for name in (*names, descriptor)]
+    wanted += [(MATCHER, matcher_of(name, match)) for name in names]
+    wanted.append((ESTIMATOR, options.estimate.backend))
+    plugins = {key: find_plugin(*key) for key in dict.fromkeys(wanted)}
+    return Recipe(names, options, plugins, descriptor, seed)
+
+
+def megapixels(collection: Collection) -> float:
+    """Megapixels of all photographs together."""
+    return sum(p.size_wh[0] * p.size_wh[1] for p in collection.photographs) / 1e6
+
+
+def worker_count(workers: int | None) -> int:
+    """The number of local processes: as given, or one per core."""
+    return workers or os.cpu_count() or 1
