@@ -42,7 +42,7 @@ from .log_photos import (
 )
 from .log_steps import log_ransac
 from .read import SCHEMA
-from .stream import MAGENTA, columns, drain, new_stream, put
+from .stream import MAGENTA, STAGES, columns, drain, new_stream, put
 from .trace import Trace, matches_to_rows, trace, trace_keypoints
 
 MAX_SURVIVORS = 2500  # dots of an image at one stage; more hide the photograph
@@ -161,7 +161,7 @@ def log_run(
     if cloud is not None and len(cloud):
         _log_points(rec, result, prefix)
     words = f"# run {run}: {', '.join(corr.operators)}\n\n{text.report_markdown(result)}"
-    put(rec, prefix, "summary", _markdown(words), stage="refine")
+    put(rec, prefix, "summary", _markdown(words), stage=STAGES[-1])
     rec.disable_timeline("run")
 
 
@@ -410,9 +410,10 @@ def _log_current(
 def _log_notes(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> None:
     """Words in the views that are empty at the first stages."""
     (w, h), size = result.two_view.camera1.size_wh, rr.Radius.ui_points(1)
+    matches, pose, points = map(STAGES.index, ("match", "pose", "triangulate"))
     for at, note, until in (
-        ("matches/current/note", "no matches before stage 2", "match"),
-        ("world/note", "no pose before stage 5, no points before stage 6", "pose"),
+        ("matches/current/note", f"no matches before stage {matches}", "match"),
+        ("world/note", f"no pose before stage {pose}, no points before stage {points}", "pose"),
     ):
         kind, place = (rr.Points3D, [0, 0, 1]) if at == "world/note" else (rr.Points2D, [w, h / 2])
         mark = kind([place], radii=size, labels=note, show_labels=True)

@@ -167,7 +167,7 @@ def log_uncertainty(
     own = {"point": np.arange(len(xyz)), **own, "sigma": sigma}
     colours = ramp(np.log(np.maximum(sigma, 1e-12)))
     dots = rr.Points3D(xyz, colors=colours, radii=dot_radius(len(xyz)))
-    put(rec, prefix, "world/points/uncertainty", dots, columns(**own), stage="refine")
+    put(rec, prefix, "world/points/uncertainty", dots, columns(**own), stage="triangulate")
     some = marks.spread(xyz[:, :2] / xyz[:, 2:], sample)
     half_sizes, quaternions = marks.ellipsoids(C[some], SIGMAS)
     shells = rr.Ellipsoids3D(
@@ -179,7 +179,7 @@ def log_uncertainty(
         show_labels=False,
     )
     drawn = columns(point=some, sigma=sigma[some])
-    put(rec, prefix, "world/ellipsoids", shells, drawn, stage="refine")
+    put(rec, prefix, "world/ellipsoids", shells, drawn, stage="triangulate")
 
 
 def operator_colours(names: Sequence[str]) -> np.ndarray:

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..types import Camera
 from . import marks
 from .log_geometry import log_epipolar_lines
-from .stream import GREEN, GREY, Size, columns, pinhole, points_2d, put
+from .stream import GREEN, GREY, STAGES, Size, columns, pinhole, points_2d, put
 
 
 def log_ransac(
@@ -135,9 +135,9 @@ def log_runs(
             if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
                 lines.append(f"| {name} | {value:.4g} |")
                 if np.isfinite(value):
-                    put(rec, prefix, ["runs", name], rr.Scalars(float(value)), stage="refine")
+                    put(rec, prefix, ["runs", name], rr.Scalars(float(value)), stage=STAGES[-1])
             else:
                 lines.append(f"| {name} | {value} |")
         words = rr.TextDocument("\n".join(lines), media_type="text/markdown")
-        put(rec, prefix, "runs/row", words, stage="refine")
+        put(rec, prefix, "runs/row", words, stage=STAGES[-1])
     rec.disable_timeline("run")

@@ -18,7 +18,7 @@ from ..errors import InputError, OutputError
 from ..types import Camera
 from .read import read_recording
 
-STAGES = ("read", "detect", "match", "fuse", "estimate", "pose", "triangulate", "refine")
+STAGES = ("read", "detect", "match", "fuse", "estimate", "pose", "refine", "triangulate")
 GREY = (128, 128, 128)
 MAGENTA = (255, 0, 255)
 GREEN = (0, 158, 115)

@@ -118,15 +118,20 @@ def story(result: Reconstruction) -> dict[str, str]:
             "An essential matrix allows four poses. In the right one the points are in front of "
             "both cameras."
         )
+    if view.sigma_deg is not None:
+        described["refine"] = (
+            "Pose and points were adjusted together. The standard deviations of the pose are "
+            f"{view.sigma_deg[0]:.3f}° (rotation) and {view.sigma_deg[1]:.3f}° (translation)."
+        )
     if cloud is not None:
         described["triangulate"] = (
             f"**{len(cloud):,}** points, where the two rays of a correspondence meet. Select a "
             "point in the 3-D view to see its pixels in both photographs and its data on the right."
         )
     if cloud is not None and cloud.covariance is not None:
-        described["refine"] = (
-            "Pose and points were adjusted together. The ellipsoids of uncertainty are long along "
-            "the rays, because depth is least certain."
+        described["triangulate"] += (
+            " The ellipsoids of uncertainty are long along the rays, because depth is least "
+            "certain."
         )
     return {
         stage: f"## {STAGES.index(stage)}. {stage}\n\n{words}" for stage, words in described.items()
