@@ -14,7 +14,7 @@ from .._utils.progress import Progress, silent
 from ..datasets import Pair
 from ..errors import InputError
 from ..features import OPERATOR_PLUGINS, available
-from ..matching.plugins import matcher_of
+from ..matching.plugins import OTHER_OPERATORS, matcher_of
 from .cache import Cache
 from .plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
 from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
@@ -215,10 +215,10 @@ def chosen_plugins(
     if isinstance(matchers, str):
         chosen[MATCHER_SETTING] = [matchers]
     elif matchers is not None:
-        chosen |= {
-            f"{OPERATOR_PLUGINS.canonical(name)}.{MATCHER_SETTING}": [matcher]
-            for name, matcher in matchers.items()
-        }
+        for name, matcher in matchers.items():
+            others = name == OTHER_OPERATORS
+            owner = "" if others else f"{OPERATOR_PLUGINS.canonical(name)}."
+            chosen[owner + MATCHER_SETTING] = [matcher]
     return chosen if backend is None else chosen | {"backend": [backend]}
 
 

@@ -56,22 +56,24 @@ def size_in_bytes(_ctx: click.Context, _param: click.Parameter, value: str) -> i
 def matchers(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> str | dict[str, str] | None:
-    """``("aliked=lightglue",)`` as ``{"aliked": "lightglue"}``, ``("lightglue",)`` as text.
+    """Convert ``("lightglue",)`` to text and ``("a", "surf=b")`` to ``{"*": "a", "surf": "b"}``.
 
-    None where the option was not given.
+    None if the option was not given.
     """
-    common = [value for value in values if "=" not in value]
-    if not common:
-        return dict(_two_names(value) for value in values) or None
-    if len(values) > 1:
-        raise click.BadParameter(
-            f"'{common[0]}' is for all operators; give it alone, or OPERATOR=MATCHER several times"
-        )
-    return common[0]
+    chosen: dict[str, str] = {}
+    for value in values:
+        operator, matcher = _two_names(value) if "=" in value else ("*", value.strip())
+        if chosen.setdefault(operator, matcher) != matcher:
+            whose = "all operators" if operator == "*" else operator
+            raise click.BadParameter(
+                f"two matchers for {whose}: {chosen[operator]}, {matcher}; "
+                "write OPERATOR=MATCHER for one operator"
+            )
+    return chosen["*"] if [*chosen] == ["*"] else chosen or None
 
 
 def _two_names(value: str) -> tuple[str, str]:
     operator, _, matcher = (part.strip() for part in value.partition("="))
-    if not operator or not matcher:
-        raise click.BadParameter(f"{value!r} is not OPERATOR=MATCHER")
+    if not operator or not matcher or "=" in matcher:
+        raise click.BadParameter(f"{value!r} is not of the form OPERATOR=MATCHER")
     return operator, matcher

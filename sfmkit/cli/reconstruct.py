@@ -11,6 +11,7 @@ import click
 from .._utils.writing import check_free
 from .exit_status import OK, UNTRUSTWORTHY
 from .parsing import POSITIVE, SEED, names
+from .parsing import matchers as parse_matchers
 from .progress import progress
 
 OPERATORS = "surf,orb,fast-brief"
@@ -19,26 +20,6 @@ OPERATORS = "surf,orb,fast-brief"
 def given(**values: Any) -> dict[str, Any]:
     """The values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
-
-
-def matchers(
-    _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
-) -> tuple[str | None, dict[str, str]]:
-    """Split ``("a", "surf=b")`` into the default matcher and ``{"surf": "b"}``."""
-    pairs = [value.split("=") for value in values if "=" in value]
-    alone = [value for value in values if "=" not in value]
-    if len(alone) > 1:
-        raise click.BadParameter(
-            f"{' and '.join(alone)} are both for all operators; write OPERATOR=MATCHER for one"
-        )
-    chosen: dict[str, str] = {}
-    for value in pairs:
-        if len(value) != 2 or not all(part.strip() for part in value):
-            raise click.BadParameter(f"'{'='.join(value)}' is not of the form OPERATOR=MATCHER")
-        operator, matcher = (part.strip() for part in value)
-        if chosen.setdefault(operator, matcher) != matcher:
-            raise click.BadParameter(f"two matchers for {operator}: {chosen[operator]}, {matcher}")
-    return (alone[0].strip() if alone else None), chosen
 
 
 @click.command()
@@ -59,9 +40,9 @@ def matchers(
 )
 @click.option(
     "--matcher",
-    "matcher",
+    "matchers",
     multiple=True,
-    callback=matchers,
+    callback=parse_matchers,
     metavar="[OPERATOR=]MATCHER",
     help="Matcher of all operators, or of one; a name or an import path. Repeatable.",
 )
@@ -125,7 +106,7 @@ def reconstruct(
     intrinsics: str | None,
     intrinsics2: str | None,
     operators: tuple[str, ...],
-    matcher: tuple[str | None, dict[str, str]],
+    matchers: str | dict[str, str] | None,
     preset: str,
     backend: str | None,
     threshold: float | None,
@@ -161,11 +142,9 @@ def reconstruct(
         estimate = given(backend=backend, threshold_px=threshold)
         if backend is not None:
             estimate["method"] = None  # the preset's method belongs to the preset's estimator
-        for_all, for_some = matcher
         options = replace(
             options,
             estimate=replace(options.estimate, **estimate),
-            match=replace(options.match, **given(matcher=for_all)),
             detect=replace(options.detect, **given(budget=budget, max_size=max_size)),
         )
         result = run(
@@ -174,7 +153,7 @@ def reconstruct(
             intrinsics,
             operators,
             camera2=intrinsics2,
-            matchers=for_some,
+            matchers=matchers,
             options=options,
             device=device,
             seed=seed,
@@ -223,7 +202,7 @@ def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
         intrinsics=truth,
         truth=truth,
         operators=tuple(OPERATORS.split(",")),
-        matcher=(None, {}),
+        matchers=None,
         out=out,
         overwrite=True,
         **printed,

@@ -26,6 +26,7 @@ from ..errors import InputError, SfmError
 from ..estimation import within_the_field
 from ..features import OPERATOR_PLUGINS
 from ..io.images import Image, read_image
+from ..matching.plugins import OTHER_OPERATORS
 from ..metrics import check_point_error, corner_error
 from ..options import PRESETS, Options
 from ..pipeline.account import ALL
@@ -98,7 +99,10 @@ def bench_pairs(
     canonical = OPERATOR_PLUGINS.canonical
     operators = tuple(dict.fromkeys(canonical(name) for name in operators))
     if isinstance(matchers, Mapping):
-        matchers = {canonical(name): matcher for name, matcher in matchers.items()}
+        matchers = {
+            name if name == OTHER_OPERATORS else canonical(name): matcher
+            for name, matcher in matchers.items()
+        }
     options = PRESETS[preset]
     options = replace(options, detect=replace(options.detect, max_size=max_size))
     if backend is not None:

@@ -42,6 +42,7 @@ class Matcher(Protocol):
         """
 
 
+OTHER_OPERATORS = "*"  # in operator -> matcher: every operator that is not named
 MATCHER_PLUGINS: Registry[Callable[..., Matches]] = Registry("matcher", "sfmkit.matchers")
 MATCHER_PLUGINS.register("nearest", match)
 MATCHER_PLUGINS.register("lightglue", lightglue)
@@ -75,14 +76,19 @@ def choose_matchers(
     """The options with other matchers.
 
     Args:
-        matchers: The name of a matcher for all operators; or operator -> matcher for some; None
-            changes nothing.
+        matchers: The name of a matcher for all operators; or operator -> matcher for some, with
+            ``"*"`` for all others; None changes nothing.
     """
     if matchers is None:
         return options
     if isinstance(matchers, str):
         return replace(options, matcher=matchers, matchers={})
-    return replace(options, matchers={**options.matchers, **matchers})
+    some = {name: matcher for name, matcher in matchers.items() if name != OTHER_OPERATORS}
+    return replace(
+        options,
+        matcher=matchers.get(OTHER_OPERATORS, options.matcher),
+        matchers={**options.matchers, **some},
+    )
 
 
 def run_matcher(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import click
 import cv2
 import numpy as np
 import pytest
@@ -15,11 +16,12 @@ import torch
 
 import sfmkit
 from sfmkit import reconstruct, register_estimator, register_matcher, register_operator
+from sfmkit.cli import parsing
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.errors import InputError, OperatorError
 from sfmkit.estimation import ESTIMATOR_PLUGINS, RobustModel, run_estimator
 from sfmkit.features import OPERATOR_PLUGINS, detect
-from sfmkit.matching import MATCHER_PLUGINS, match, run_matcher
+from sfmkit.matching import MATCHER_PLUGINS, choose_matchers, match, run_matcher
 from sfmkit.options import DEFAULT, MatchOptions
 from sfmkit.types import Features, Matches, Verdict
 
@@ -184,6 +186,20 @@ def test_the_error_of_a_wrong_operator_names_it(operator, reason):
 def matches(*pairs):
     i, j = np.array(pairs, np.int64).T
     return Matches(i, j, np.zeros(len(i), np.float32), np.zeros(len(i), np.float32))
+
+
+def test_matchers_of_the_command_line_and_of_python_are_chosen_alike():
+    def chosen(*values):
+        options = choose_matchers(MatchOptions(), parsing.matchers(None, None, values))
+        return options.matcher, dict(options.matchers)
+
+    assert chosen() == (MatchOptions().matcher, {})
+    assert chosen("a") == ("a", {})
+    assert chosen("surf=b", "orb=c") == (MatchOptions().matcher, {"surf": "b", "orb": "c"})
+    assert chosen("a", "surf=b") == ("a", {"surf": "b"})
+    for values in (("a", "b"), ("surf=a", "surf=b"), ("surf=",), ("surf=a=b",)):
+        with pytest.raises(click.BadParameter, match="OPERATOR=MATCHER"):
+            chosen(*values)
 
 
 @pytest.mark.parametrize(

@@ -171,7 +171,7 @@ def test_survivors_thin_out_stage_by_stage(recording):
         2: account.matches,
         3: account.initial,
         4: account.inliers,
-        6: 0,
+        7: 0,
     }
 
 
