@@ -14,7 +14,6 @@ import torch
 from made_up_scene import make_scene
 
 from sfmkit.errors import InputError
-from sfmkit.geometry._forward_mode import forward_mode
 from sfmkit.geometry.bundle import bundle_adjust
 from sfmkit.geometry.coordinates import (
     denormalize,
@@ -40,6 +39,9 @@ from sfmkit.geometry.triangulation import (
     triangulate_midpoint,
     triangulate_optimal,
 )
+
+# The first forward-mode derivative makes torch (2.15) script its decompositions.
+TORCH_SCRIPTS = r"ignore:`torch\.jit\.script` is deprecated:FutureWarning"
 
 S = make_scene(6, noise=0.5)
 P = make_scene(14, noise=0.4, planar=True)
@@ -150,12 +152,12 @@ MINIMA = {
 }
 
 
+@pytest.mark.filterwarnings(TORCH_SCRIPTS)
 @pytest.mark.grad
 @pytest.mark.parametrize("name", MINIMA)
 def test_forward_mode_at_a_minimum_agrees_with_reverse_mode(name):
     function, x1 = MINIMA[name]
-    with forward_mode():
-        forward = torch.func.jacfwd(function)(x1)
+    forward = torch.func.jacfwd(function)(x1)
     reverse = torch.func.jacrev(function)(x1)
     torch.testing.assert_close(forward, reverse, rtol=1e-8, atol=1e-8 * float(reverse.abs().max()))
 
@@ -247,11 +249,12 @@ def test_the_entries_of_the_table_are_reproduced(name):
     }
 
 
+@pytest.mark.filterwarnings(TORCH_SCRIPTS)
 def test_se3_raises_in_forward_mode_where_kornia_loses_the_derivative_of_t():
     def moved(t):
         return se3_from_pose(S.R, t).matrix()
 
-    with forward_mode(), pytest.raises(InputError, match="forward mode"):
+    with pytest.raises(InputError, match="forward mode"):
         torch.func.jacfwd(moved)(S.t)
     assert torch.func.jacrev(moved)(S.t)[:3, 3].equal(torch.eye(3, dtype=torch.float64))
 
