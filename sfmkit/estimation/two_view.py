@@ -36,10 +36,12 @@ from .verdict import MIN_MATCHES, assess
 # Samples of the search for a competing plane. A plane that contains a quarter of the matches is
 # missed with a probability of (1 - 0.25^4)^2000 = 0.0004.
 PLANE_ITERATIONS = 2_000
-# Poses of a plane. Not all inliers need to lie in front of both cameras, because some of them are
-# wrong matches. Poses whose rotations and translation directions together differ by less are one
-# minimum. A cost above the ratio to the best one is evidence against a pose. The three values are
-# choices, not measurements.
+# Poses of a plane. Not all inliers need to lie in front of both cameras, because noise moves some
+# behind one. Poses whose rotations and translation directions together differ by less are one
+# minimum. A cost above the ratio to the best one is evidence against a pose. Measured on 200 random
+# planes with noise of 0.3 to 2 px (test_the_true_pose_of_a_plane_is_a_candidate): at least 0.9925
+# of the inliers are in front at the true pose, its cost is at most 1.19 of the best one, and two
+# minima are at least 0.68 degrees apart.
 _LEAST_SHARE_IN_FRONT = 0.9
 _SAME_POSE_DEG = 0.5
 _COST_RATIO = 1.2

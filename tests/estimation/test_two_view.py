@@ -8,6 +8,9 @@ import torch
 
 from sfmkit.errors import InputError
 from sfmkit.estimation import estimate_two_view, within_the_field
+from sfmkit.estimation.two_view import planar_poses
+from sfmkit.geometry.homography import homography_dlt
+from sfmkit.geometry.pose import rotation_error, translation_error
 from sfmkit.options import EstimateOptions
 from sfmkit.types import Camera, Correspondences, OperatorCounts, Verdict
 
@@ -177,3 +180,36 @@ def test_points_outside_the_field_of_the_distortion_are_dropped_and_counted():
         assert kept.index1.tolist() == [0, 1, 2, 5]
     corr = correspondences(inner, inner)
     assert within_the_field(corr, camera, camera) is corr
+
+
+def plane_seen_twice(g):
+    """Pixels of a random plane in two views, with the true motion; None if a point is behind one."""
+    K = torch.tensor(CAMERA.K)
+    R, t = rotation(g.normal(size=3), g.normal(0, 20)), g.normal(size=3)
+    t *= g.uniform(0.2, 1) / np.linalg.norm(t)
+    normal = np.array([*g.uniform(-0.6, 0.6, 2), 1])
+    u = g.uniform((0, 0), SIZE, (400, 2))
+    rays = np.c_[u, np.ones(400)] @ np.linalg.inv(CAMERA.K).T
+    X = rays * (4 / (rays @ normal))[:, None]
+    Y = X @ R.T + t
+    if min(X[:, 2].min(), Y[:, 2].min()) < 0.1:
+        return None
+    v = Y @ CAMERA.K.T
+    noise = g.choice([0.3, 1.0, 2.0])
+    x1, x2 = (torch.tensor(x + g.normal(0, noise, x.shape)) for x in (u, v[:, :2] / v[:, 2:]))
+    t = t / np.linalg.norm(t)
+    return x1, x2, K, torch.tensor(R), torch.tensor(t), noise
+
+
+def test_the_true_pose_of_a_plane_is_a_candidate():
+    g = np.random.default_rng(0)
+    scenes = [scene for scene in (plane_seen_twice(g) for _ in range(80)) if scene]
+    assert len(scenes) > 40
+    everything = torch.ones(400, dtype=torch.bool)
+    for x1, x2, K, R, t, noise in scenes:
+        H = homography_dlt(x1, x2)
+        unrelated = torch.eye(3, dtype=torch.float64), t.roll(1)
+        found = planar_poses(H, unrelated, x1, x2, K, K, everything, threshold_px=2.0)
+        assert 1 <= len(found) <= 3  # two of the plane, and the start
+        errors = [float(rotation_error(Q, R) + translation_error(q, t)) for Q, q in found]
+        assert min(errors) < 10 * noise, errors
