@@ -183,7 +183,7 @@ def test_points_outside_the_field_of_the_distortion_are_dropped_and_counted():
 
 
 def plane_seen_twice(g):
-    """Pixels of a random plane in two views, with the true motion; None if a point is behind one."""
+    """Return pixels of a random plane in two views and the motion, or None if a point is behind."""
     K = torch.tensor(CAMERA.K)
     R, t = rotation(g.normal(size=3), g.normal(0, 20)), g.normal(size=3)
     t *= g.uniform(0.2, 1) / np.linalg.norm(t)
