@@ -47,11 +47,14 @@ def drain(rec: rr.RecordingStream, blueprint: Any = None) -> bytes:
     Files are not written by Rerun itself, for two reasons (0.41, on a full disk): a flush of its
     file sink never returns and cannot be interrupted, and a failed write is not reported.
 
+    The blueprint is made active: the viewer lays out a recording by itself as soon as its data
+    arrive, and keeps that layout if the blueprint that follows is only the default one.
+
     Args:
         blueprint: layout of the views.
     """
     if blueprint is not None:
-        rec.send_blueprint(blueprint, make_active=False, make_default=True)
+        rec.send_blueprint(blueprint, make_active=True, make_default=True)
     return rec.memory_recording().drain_as_bytes()
 
 
