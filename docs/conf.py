@@ -37,6 +37,8 @@ nb_execution_mode = "force"
 nb_execution_timeout = 180
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+# Widgets load JavaScript from the web; the explorables also have an HTML form, which does not.
+nb_mime_priority_overrides = [("html", "text/html", 5)]
 
 # The reference: one page per public module, generated at every build.
 apidoc_modules = [

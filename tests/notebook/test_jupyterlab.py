@@ -27,6 +27,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.notebook, pytest.mark.slow, pytes
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 HERE = ("127.0.0.1", "localhost")
+VIEWER = "canvas:not(.sfmkit-explorable *)"
 YELLOW = (240, 228, 66)
 OPERATORS = ("orb", "fast-brief")  # of notebook 04
 PATIENCE_S = 120  # on a busy machine
@@ -228,7 +229,7 @@ def test_the_quick_start_runs(browser, lab):
 
 def test_the_notebook_runs_without_a_network(epipolar):
     epipolar.assert_quiet()
-    epipolar.page.wait_for_selector("canvas", timeout=120_000)
+    epipolar.page.wait_for_selector(VIEWER, timeout=120_000)
 
 
 @pytest.mark.parametrize("x1", [(350.0, 410.0), (700.5, 250.25), (520.0, 640.0)])
@@ -291,7 +292,7 @@ def test_a_slider_responds_within_a_third_of_a_second(epipolar):
 
 def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundled):
     page = epipolar.page
-    canvas = page.locator("canvas")
+    canvas = page.locator(VIEWER)
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     assert box["x"] + box["width"] <= page.viewport_size["width"]
@@ -378,5 +379,5 @@ def test_the_notebook_keeps_the_keyboard_focus(epipolar):
     page = epipolar.page
     page.locator(".jp-MarkdownCell").first.click()
     time.sleep(0.6)
-    page.evaluate("document.querySelector('canvas').focus()")
+    page.evaluate(f"document.querySelector('{VIEWER}').focus()")
     assert page.evaluate("document.activeElement.tagName") != "CANVAS"
