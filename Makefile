@@ -27,8 +27,12 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY)
 	$(BIN)/sfmkit demo
 
+# One process per core (at most four) and one thread per process: more threads than cores make both slower.
+# A file is run by one process. `make test TESTS=-n0` runs all tests in one process.
+TESTS ?= -n logical --maxprocesses 4 --dist loadfile
+
 test: $(READY)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS)
 
 # Mutated inputs of every kind that is read; a finding is saved and replayed with REPLAY=KIND-NUMBER.
 INPUTS ?= 20000
@@ -40,11 +44,13 @@ fuzz: $(READY)
 lab: $(READY)
 	$(BIN)/sfmkit lab
 
-# Executes the notebooks, which takes minutes; `make docs NOTEBOOKS=off` shows them without results.
+# Executes the notebooks, which takes minutes; `make docs NOTEBOOKS=off` shows them without results, and NOTEBOOKS=cache
+# uses the results that the tests stored in the folder SFMKIT_NOTEBOOK_CACHE.
 NOTEBOOKS ?= force
 
 docs: $(READY)
-	$(BIN)/sphinx-build -W --keep-going -b html -D nb_execution_mode=$(NOTEBOOKS) docs out/docs
+	$(BIN)/sphinx-build -W --keep-going -b html -D nb_execution_mode=$(NOTEBOOKS) \
+	  -D nb_execution_cache_path="$(SFMKIT_NOTEBOOK_CACHE)" docs out/docs
 
 # Run it again to resume an interrupted report; remove $(REPORT) to start again.
 REPORT ?= out/report

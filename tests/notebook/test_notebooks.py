@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import resource
 import runpy
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_cache import get_cache
+from jupyter_cache.base import CacheBundleIn
 from rerun.chunk import RrdReader
 
 from sfmkit import teaching
@@ -175,6 +178,23 @@ def run(notebook, folder: Path) -> float:
     return min(time.perf_counter() - start, used() - before)
 
 
+def keep_for_the_documentation(notebook, path: Path) -> None:
+    """Store an executed notebook in the cache of SFMKIT_NOTEBOOK_CACHE, if that is set.
+
+    `make docs NOTEBOOKS=cache` then does not execute it a second time.
+    """
+    if folder := os.environ.get("SFMKIT_NOTEBOOK_CACHE"):
+        # The cache finds a notebook by its code and metadata; running it adds metadata.
+        kept = nbformat.read(path, as_version=4)
+        for cell, executed in zip(kept.cells, notebook.cells):
+            if cell.cell_type == "code":
+                cell.outputs, cell.execution_count = executed.outputs, executed.execution_count
+        if "widgets" in notebook.metadata:
+            kept.metadata["widgets"] = notebook.metadata["widgets"]
+        bundle = CacheBundleIn(kept, str(path))
+        get_cache(folder).cache_notebook_bundle(bundle, check_validity=False, overwrite=True)
+
+
 def assert_the_recording_has_its_entities(name: str, notebook, folder: Path) -> None:
     """Compare the .rrd file of an executed notebook with what the notebook must log."""
     recording = read_recording(folder / "out" / f"{name}.rrd")
@@ -208,6 +228,7 @@ def test_a_notebook_runs_from_top_to_bottom_and_records_its_stage(
     assert run(notebook, folder) < SECONDS
     assert_every_cell_has_its_output(notebook)
     assert_the_recording_has_its_entities(path.stem, notebook, folder)
+    keep_for_the_documentation(notebook, path)
 
 
 @pytest.mark.notebook
