@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -16,6 +17,7 @@ from made_up_result import make_result
 from scipy.spatial.transform import Rotation
 
 from sfmkit.errors import InputError
+from sfmkit.estimation.verdict import assess
 from sfmkit.geometry.fundamental import (
     epipolar_lines,
     epipoles,
@@ -24,13 +26,20 @@ from sfmkit.geometry.fundamental import (
     fundamental_from_pose,
     signed_sampson_distance,
 )
+from sfmkit.geometry.losses import marginal_score
 from sfmkit.io.images import read_image
-from sfmkit.notebook.explorables import TwoCameras
+from sfmkit.notebook.explorables import HomographyOrDepth, RansacSteps, TwoCameras
 from sfmkit.notebook.explorables.bundle import bundle
+from sfmkit.types import Verdict
 
 ROOT = Path(__file__).parents[2]
-MODULES = ("two_cameras",)
+MODULES = ("homography_or_depth", "ransac", "two_cameras")
 SIZE = (640, 480)
+VERDICTS = {
+    "general": Verdict.GENERAL,
+    "planar": Verdict.PLANAR,
+    "rotation": Verdict.PURE_ROTATION,
+}
 
 
 @pytest.fixture(scope="module")
@@ -244,6 +253,138 @@ def screenshot(page, name: str) -> None:
         page.screenshot(path=str(Path(folder) / f"explorable-{name}.png"), full_page=True)
 
 
+@pytest.fixture
+def ransac(page, result, tmp_path):
+    view, corr = result.two_view, result.correspondences
+    images = (image.rgb for image in result.images)
+    path = RansacSteps(*images, corr.x1, corr.x2, view.inliers).to_html(tmp_path / "ransac.html")
+    page.goto(path.as_uri())
+    page.wait_for_selector(".sfmkit-explorable")
+    return page
+
+
+@pytest.mark.browser
+def test_the_score_and_the_stopping_rule_are_those_of_the_library(page):
+    js = kit(page, "ransac", "samplesNeeded, marginalScore, fitLine")
+    square = np.linspace(0, 1.5, 40)
+    scores = js("a.map((square) => kit.marginalScore(square, 1.1))", square.tolist())
+    np.testing.assert_allclose(scores, marginal_score(tensor(square), 1.1), atol=1e-9)
+    for w, s in ((0.6, 2), (0.5, 7), (0.95, 4)):
+        expected = int(np.ceil(np.log(1 - 0.99) / np.log(1 - w**s)))
+        assert js("kit.samplesNeeded(0.99, a[0], a[1])", [w, s]) == expected
+    x = np.random.default_rng(0).normal(size=(20, 2)) * (3, 0.2)
+    normal = np.linalg.svd(x - x.mean(0))[2][1]
+    assert same_up_to_scale(js("kit.fitLine(a)", x.tolist()), [*normal, -normal @ x.mean(0)])
+
+
+@pytest.mark.browser
+def test_ransac_finds_the_consensus_set_and_stops(ransac):
+    page = ransac
+    page.get_by_role("button", name="draw a sample").click()
+    state = state_of(page)
+    assert state["drawn"] == 1
+    assert len(state["sample"]) == 2
+    assert page.locator("circle.sample").count() == 2
+    # The sample lies on its line, in the figure too.
+    ends = page.locator("polyline.sample-line").get_attribute("points")
+    p, q = (np.array([float(v) for v in point.split(",")]) for point in ends.split())
+    for k in range(2):
+        dot = page.locator("circle.sample").nth(k)
+        x = np.array([float(dot.get_attribute(a)) for a in ("cx", "cy")])
+        away = (q - p)[0] * (x - p)[1] - (q - p)[1] * (x - p)[0]
+        assert abs(away) / np.linalg.norm(q - p) < 0.5
+    page.get_by_role("button", name="draw until N").click()
+    state = state_of(page)
+    assert state["drawn"] >= state["needed"]
+    w = state["best"]["consensus"] / 100
+    assert state["needed"] == int(np.ceil(np.log(0.01) / np.log(1 - w**2)))
+    screenshot(page, "ransac-line")
+
+
+@pytest.mark.browser
+def test_ransac_for_f_counts_the_consensus_set_of_the_library(ransac):
+    page = ransac
+    page.click("button[data-key=fundamental]")
+    page.click("button[data-key=yes]")  # local optimisation
+    page.get_by_role("button", name="draw until N").click()
+    state = state_of(page)
+    data = json.loads(page.locator("#data").text_content())
+    wrong = round(state["wrong"] * len(data["right"]))
+    matches = tensor([*data["wrong"][:wrong], *data["right"][wrong:]])
+    F = tensor(state["best"]["model"])
+    inside = signed_sampson_distance(F, matches[:, :2], matches[:, 2:]).abs() <= 1
+    assert int(inside.sum()) == state["best"]["consensus"]
+    assert state["best"]["consensus"] > 0.9 * (len(matches) - wrong)
+    screenshot(page, "ransac-f")
+
+
+@pytest.mark.browser
+def test_the_comparison_shows_what_local_optimisation_changes(ransac):
+    page = ransac
+    page.get_by_role("button", name="compare many searches").click()
+    assert wait_for(lambda: state_of(page)["comparison"]["done"] == 100, 60)
+    rows = {(r["score"], r["optimise"]): r for r in state_of(page)["comparison"]["rows"]}
+    for score in ("count", "marginal"):
+        assert rows[score, True]["error"] < rows[score, False]["error"]
+
+
+@pytest.fixture
+def homography(page, tmp_path):
+    page.goto(HomographyOrDepth().to_html(tmp_path / "homography.html").as_uri())
+    page.wait_for_selector(".sfmkit-explorable")
+    return page
+
+
+def assert_the_verdict_is_the_librarys(state: dict) -> None:
+    x1, x2, F, H, K = (tensor(state[name]) for name in ("x1", "x2", "F", "H", "K"))
+    inliers = signed_sampson_distance(F, x1, x2).abs() < state["threshold"]
+    found = assess(x1, x2, K, K, F, inliers, H, state["threshold"])
+    names = {
+        "general": Verdict.GENERAL,
+        "planar": Verdict.PLANAR,
+        "rotation": Verdict.PURE_ROTATION,
+    }
+    assert found.verdict is names[state["verdict"]]
+    expected = {
+        "sigma_px": state["sigma"],
+        "share_off_plane": state["offPlane"],
+        "share_off_rotation": state["offRotation"],
+        **{f"gric_{name}": value for name, value in state["scores"].items()},
+    }
+    for name, value in expected.items():
+        # The rotation is iterated until it changes by less than 1e-7.
+        assert found.evidence[name] == pytest.approx(value, rel=1e-5), name
+
+
+@pytest.mark.browser
+def test_the_verdict_is_that_of_the_library_for_every_scene(homography):
+    page = homography
+    for key, verdict in (("plane", "planar"), ("depth", "general"), ("rotation", "rotation")):
+        page.click(f"button[data-key={key}]")
+        assert state_of(page)["verdict"] == verdict
+        assert_the_verdict_is_the_librarys(state_of(page))
+
+
+@pytest.mark.browser
+def test_dragging_points_off_the_plane_changes_the_verdict(homography):
+    page = homography
+    point = page.locator("circle.scene-point").first.bounding_box()
+    x, y = point["x"] + point["width"] / 2, point["y"] + point["height"] / 2
+    seen = []
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(1, 9):
+        page.mouse.move(x, y + 10 * k)
+        seen.append(state_of(page)["verdict"])
+        assert_the_verdict_is_the_librarys(state_of(page))
+    page.mouse.up()
+    screenshot(page, "homography-or-depth")
+    assert seen[-1] == "general"
+    assert state_of(page)["offPlane"] > 0.2
+    median = page.evaluate("document.querySelector('.sfmkit-explorable').explorable.median()")
+    print(f"median response of homography or depth: {median:.1f} ms")
+
+
 @pytest.mark.browser
 def test_an_exported_notebook_and_the_documentation_answer_without_a_kernel(page, result, tmp_path):
     """The same stored notebook, exported by nbconvert and built by Sphinx."""
@@ -287,6 +428,12 @@ def test_an_exported_notebook_and_the_documentation_answer_without_a_kernel(page
         assert wait_for(lambda line=line, before=before: line.get_attribute("points") != before, 20)
 
 
-def test_a_reconstruction_without_a_cloud_is_refused(result):
+def test_data_that_an_explorable_cannot_show_are_refused(result):
     with pytest.raises(InputError, match="with a cloud"):
         TwoCameras(replace(result, cloud=None))
+    x = result.correspondences.x1
+    rgb = result.images[0].rgb
+    with pytest.raises(InputError, match="16 right matches"):
+        RansacSteps(rgb, rgb, x, x, np.zeros(len(x), bool))
+    with pytest.raises(InputError, match="flags"):
+        RansacSteps(rgb, rgb, x, x, np.ones(3, bool))

@@ -1,6 +1,8 @@
 """Interactive figures that compute in the browser, with and without a kernel."""
 
 from .explorable import Explorable
+from .homography_or_depth import HomographyOrDepth
+from .ransac import RansacSteps
 from .two_cameras import TwoCameras
 
-__all__ = ["Explorable", "TwoCameras"]
+__all__ = ["Explorable", "HomographyOrDepth", "RansacSteps", "TwoCameras"]
