@@ -117,9 +117,29 @@ def cases() -> dict[str, Case]:
     def error(X: Tensor, x1: Tensor, x2: Tensor, k: Tensor, w: Tensor, t: Tensor) -> Tensor:
         return sg.reprojection_error(X, x1, x2, mat(k), mat(k), rot(w), t)
 
+    def linearised(w: Tensor, t: Tensor, x1: Tensor, x2: Tensor, k1: Tensor, k2: Tensor) -> Any:
+        return sg.linearise_pose(rot(w), t, x1, x2, mat(k1), mat(k2), loss_scale=2.0)
+
+    def derivatives(w: Tensor, t: Tensor, x1: Tensor, x2: Tensor, k1: Tensor, k2: Tensor) -> Any:
+        return sg.point_derivatives(rot(w), t, x1, x2, mat(k1), mat(k2))
+
+    views = (w, t, x1, x2, k1, k2)
+    sensitivity, blocks = linearised(*views), torch.arange(14) // 2
+    sigma = torch.tensor([0.01, 2.0, 3.0, 0.02], dtype=D)
+    by_point = derivatives(*views)
+
+    def parts(**given: Tensor) -> sg.Sensitivity:
+        kind = next(iter(given.values())).dtype
+        fields = {f.name: getattr(sensitivity, f.name) for f in dataclasses.fields(sensitivity)}
+        return sg.Sensitivity(**{name: a.to(kind) for name, a in (fields | given).items()})
+
     seen, two = (x1[:9], x2[:9], k1, k2, w, t), (n1, n2, w, t)
     return {
         "bundle_adjust": Case(minimum, seen),
+        "camera_covariance": Case(
+            lambda b, s1, s2: sg.camera_covariance(parts(by_intrinsics=b), s1, s2, False),
+            (sensitivity.by_intrinsics, sigma, 2 * sigma),
+        ),
         "camera_from_pinhole": Case(pose_of_pinhole, (w, t)),
         "check_pose": Case(lambda w, t: sg.check_pose(rot(w), t), (w, t)),
         "cheirality": Case(of_pose(sg.cheirality), two),
@@ -167,8 +187,14 @@ def cases() -> dict[str, Case]:
             lambda w, t, n, d, k1, k2: sg.homography_from_pose(rot(w), t, n, d, mat(k1), mat(k2)),
             (w, t, n, d, k1, k2),
         ),
+        "image_blocks": Case(lambda x: sg.image_blocks(x, (640, 480)), (x1,)),
         "influence": Case(lambda *a: sg.influence(bundle(*a)), seen),
         "inverse_intrinsics": Case(lambda k: sg.inverse_intrinsics(mat(k)), (k1,)),
+        "jackknife_covariance": Case(
+            lambda s, h: sg.jackknife_covariance(parts(score=s, hessian=(h + h.mT) / 2), blocks),
+            (sensitivity.score, sensitivity.hessian),
+        ),
+        "linearise_pose": Case(linearised, views),
         "loss_terms": Case(lambda s: sg.loss_terms("cauchy", s, 0.8), (square,)),
         "marginal_score": Case(lambda s: sg.marginal_score(s, 1.1), (square,)),
         "marginal_weight": Case(lambda s: sg.marginal_weight(s, 1.1), (square,)),
@@ -177,6 +203,16 @@ def cases() -> dict[str, Case]:
         "pinhole_from_camera": Case(
             lambda w, t: sg.pinhole_from_camera(plain, rot(w), t).extrinsics, (w, t)
         ),
+        "point_covariances": Case(
+            lambda points, by, before, pose, b, s1: sg.point_covariances(
+                points, by, before, pose, parts(by_intrinsics=b), s1, 2 * s1, False
+            ),
+            (
+                *(normal(14, 3, 3), by_point, covered @ covered.T, 2 * covered @ covered.T),
+                *(sensitivity.by_intrinsics, sigma),
+            ),
+        ),
+        "point_derivatives": Case(derivatives, views),
         "pose_auc": Case(lambda e: sg.pose_auc(e, (5.0, 10.0)), (10 * square,)),
         "pose_from_se3": Case(lambda w, t: sg.pose_from_se3(sg.se3_from_pose(rot(w), t)), (w, t)),
         "pose_sensitivity": Case(lambda *a: sg.pose_sensitivity(bundle(*a)), seen),

@@ -158,8 +158,8 @@ def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
     inner = xyz[distance <= 3 * size] - centre
     with np.errstate(over="ignore", invalid="ignore"):
         moments = inner.T @ inner
-    if not np.isfinite(moments).all():
-        raise InputError(f"the {which} cloud's coordinates are too large to be squared")
+    if not np.isfinite(moments).all() or size == 0 or not moments.any():
+        raise InputError(f"the {which} cloud's extent is too large or too small to be squared")
     axes = np.linalg.eigh(moments)[1]
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     tree = KDTree(xyz)

@@ -5,6 +5,15 @@ computes correctly; ``docs/kornia.md`` lists function by function who computes, 
 :mod:`sfmkit.geometry.kernels` holds the unchecked inner loops.
 """
 
+from .block_covariance import (
+    Sensitivity,
+    camera_covariance,
+    image_blocks,
+    jackknife_covariance,
+    linearise_pose,
+    point_covariances,
+    point_derivatives,
+)
 from .bundle import TwoViewBundle, bundle_adjust
 from .camera import camera_from_pinhole, pinhole_from_camera
 from .coordinates import (
@@ -78,10 +87,12 @@ __all__ = [
     "EssentialRefinement",
     "Influence",
     "LossTerms",
+    "Sensitivity",
     "Similarity",
     "TwoViewBundle",
     "Uncertainty",
     "bundle_adjust",
+    "camera_covariance",
     "camera_from_pinhole",
     "check_pose",
     "cheirality",
@@ -111,14 +122,19 @@ __all__ = [
     "homography_4point",
     "homography_dlt",
     "homography_from_pose",
+    "image_blocks",
     "influence",
     "inverse_intrinsics",
+    "jackknife_covariance",
+    "linearise_pose",
     "loss_terms",
     "marginal_score",
     "marginal_weight",
     "normalize",
     "parallax",
     "pinhole_from_camera",
+    "point_covariances",
+    "point_derivatives",
     "pose_auc",
     "pose_from_se3",
     "pose_sensitivity",

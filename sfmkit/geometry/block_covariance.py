@@ -20,9 +20,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..errors import DegenerateGeometryError, InputError
+from .checks import (
+    _traced,
+    check_intrinsics,
+    check_kind,
+    check_matrices,
+    check_points,
+    check_values,
+)
 from .coordinates import inverse_intrinsics, to_homogeneous
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .losses import Loss, loss_terms
+from .pose import check_pose
 from .triangulation import triangulate_optimal
 
 _STEP = 1e-5  # radians, shares of the focal length, pixels: the cube root of float64's rounding
@@ -64,13 +74,19 @@ def linearise_pose(
         x1, x2: ``(N, 2)`` undistorted pixels of the inliers.
         K1, K2: ``(3, 3)``.
         loss, loss_scale: as they were minimised, pixels.
+
+    Raises:
+        InputError: wrong shapes or types, batches, NaN or infinite values, t of zero, an unknown
+            loss, or a scale outside 1e-100 to 1e100.
+        DegenerateGeometryError: fewer than 5 matches, or matches that do not determine the pose.
     """
+    _check_two_views(R, t, x1, x2, K1, K2, minimum=5)
     t = t / t.norm()
     P1, P2 = inverse_intrinsics(K1), inverse_intrinsics(K2)
     E = hat(t) @ R
     F = P2.mT @ E @ P1
     # dF for each of the 5 pose parameters, then 3 intrinsics of each camera
-    turned = [P2.mT @ hat(t) @ hat(e) @ R @ P1 for e in torch.eye(3, dtype=R.dtype)]
+    turned = [P2.mT @ hat(t) @ hat(e) @ R @ P1 for e in torch.eye(3).to(R)]
     moved = [P2.mT @ hat(b) @ R @ P1 for b in tangent_basis(t).mT]
     first = [P2.mT @ E @ d for d in _inverse_derivatives(K1)]
     second = [d.mT @ E @ P1 for d in _inverse_derivatives(K2)]
@@ -89,11 +105,9 @@ def linearise_pose(
     outer = J[:, :, None] * J[:, None, :]
     hessian = curvature[:, None, None] * outer
     H = hessian.sum(0)
-    return Sensitivity(
-        score=(terms.slope * r)[:, None] * J,
-        hessian=hessian,
-        by_intrinsics=-torch.linalg.solve(H, J.mT @ (curvature[:, None] * J_camera)),
-    )
+    _check_determined(H)
+    by_intrinsics = torch.linalg.solve_ex(H, -J.mT @ (curvature[:, None] * J_camera))[0]
+    return Sensitivity((terms.slope * r)[:, None] * J, hessian, by_intrinsics)
 
 
 def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
@@ -105,7 +119,15 @@ def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
     Returns:
         The covariance; infinite where fewer than two blocks hold all matches, or where one block
         alone determines a direction of the pose.
+
+    Raises:
+        InputError: wrong shapes or types, NaN or infinite values.
     """
+    _check_sensitivity(sensitivity)
+    check_values(score=sensitivity.score, hessian=sensitivity.hessian)
+    if not isinstance(block, Tensor) or block.dtype != torch.int64:
+        raise InputError("block must be a tensor of int64, the number of the block of every match")
+    _check_shape("block", block, tuple(sensitivity.score.shape[:1]))
     _, group = torch.unique(block, return_inverse=True)
     count = int(group.max()) + 1 if len(group) else 0
     kind = sensitivity.score
@@ -114,12 +136,10 @@ def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
     score = kind.new_zeros(count, 5).index_add(0, group, sensitivity.score)
     hessian = kind.new_zeros(count, 5, 5).index_add(0, group, sensitivity.hessian)
     rest, failed = torch.linalg.cholesky_ex(hessian.sum(0) - hessian)
-    if bool(failed.any()):
-        return torch.full((5, 5), torch.inf, dtype=kind.dtype, device=kind.device)
     without = score.sum(0) - score
     moved = -torch.cholesky_solve(without[..., None], rest)[..., 0]
     moved = moved - moved.mean(0)
-    return (count - 1) / count * moved.mT @ moved
+    return torch.where(failed.any(), torch.inf, (count - 1) / count * moved.mT @ moved)
 
 
 def camera_covariance(
@@ -130,7 +150,12 @@ def camera_covariance(
     Args:
         sigma1, sigma2: ``(4,)`` standard deviations in the order of :data:`INTRINSICS`.
         shared: both images were taken by one camera, whose errors are the same in both.
+
+    Raises:
+        InputError: wrong shapes or types, NaN or infinite values, negative deviations.
     """
+    _check_sensitivity(sensitivity)
+    _check_sigmas(sensitivity, sigma1, sigma2)
     first, second = sensitivity.by_intrinsics[:, :4], sensitivity.by_intrinsics[:, 4:]
     columns = (
         (first + second) * sigma1 if shared else torch.cat((first * sigma1, second * sigma2), 1)
@@ -156,7 +181,23 @@ def point_covariances(
         before: ``(5, 5)`` covariance of the pose that `points` includes.
         pose: ``(5, 5)`` covariance of the pose to include, without that of the cameras.
         sigma1, sigma2, shared: as for :func:`camera_covariance`.
+
+    Raises:
+        InputError: wrong shapes or types, negative deviations; NaN or infinite values, except in
+            `points` and `derivatives`, where they concern their point alone.
     """
+    _check_sensitivity(sensitivity)
+    _check_sigmas(sensitivity, sigma1, sigma2)
+    check_matrices(sensitivity.by_intrinsics, shape=(5, 5), before=before, pose=pose)
+    check_kind(by_intrinsics=sensitivity.by_intrinsics, points=points, derivatives=derivatives)
+    n = len(points) if points.ndim else 0
+    for name, a, shape in (
+        ("points", points, (n, 3, 3)),
+        ("derivatives", derivatives, (n, 3, 13)),
+        ("before", before, (5, 5)),
+        ("pose", pose, (5, 5)),
+    ):
+        _check_shape(name, a, shape)
     by_pose = derivatives[..., :5]
     # a camera's error moves a point directly, and through the pose that it moves
     by_camera = derivatives[..., 5:] + by_pose @ sensitivity.by_intrinsics
@@ -181,8 +222,15 @@ def point_derivatives(
 
     Returns:
         ``(N, 3, 13)``: the five parameters of the pose, then the intrinsics of camera 1 and of
-        camera 2 (:data:`INTRINSICS`); points in camera 1, unit baseline.
+        camera 2 (:data:`INTRINSICS`); points in camera 1, unit baseline. Computed in double
+        precision, in which the steps are small enough and the rounding is too.
+
+    Raises:
+        InputError: wrong shapes or types, batches, NaN or infinite values, t of zero.
     """
+    _check_two_views(R, t, x1, x2, K1, K2)
+    kind = R.dtype
+    R, t, x1, x2, K1, K2 = (a.double() for a in (R, t, x1, x2, K1, K2))
     t = t / t.norm()
     basis = tangent_basis(t)
 
@@ -193,7 +241,7 @@ def point_derivatives(
 
     steps = _STEP * torch.eye(13, dtype=R.dtype, device=R.device)
     columns = [(points(step) - points(-step)) / (2 * _STEP) for step in steps]
-    return torch.stack(columns, -1)
+    return torch.stack(columns, -1).to(kind)
 
 
 def _moved(x: Tensor, K: Tensor, error: Tensor) -> Tensor:
@@ -208,11 +256,73 @@ def image_blocks(x: Tensor, size_wh: tuple[int, int], across: int = 12) -> Tenso
 
     Args:
         across: Tiles along the longest side. Twelve make tiles of 256 pixels in a photograph of
-            3072 pixels.
+            3072 pixels. Points outside the image belong to the nearest tile.
+
+    Raises:
+        InputError: wrong shapes or types, NaN or infinite values, a size or number of tiles that is
+            not positive.
     """
+    check_points(x=x)
+    if x.ndim != 2 or across < 1 or min(size_wh) < 1:
+        raise InputError(
+            f"x must be (N, 2), size_wh and across positive, not {tuple(x.shape)}, {size_wh}, "
+            f"{across}"
+        )
     side = max(size_wh) / across
-    column, row = (x / side).floor().long().clamp_min(0).unbind(-1)
-    return row * across + column.clamp_max(across - 1)
+    column, row = (x / side).floor().clamp(0, across - 1).long().unbind(-1)
+    return row * across + column
+
+
+def _check_two_views(
+    R: Tensor, t: Tensor, x1: Tensor, x2: Tensor, K1: Tensor, K2: Tensor, minimum: int = 0
+) -> None:
+    check_points(minimum, x1=x1, x2=x2)
+    check_pose(R, t, x1)
+    check_intrinsics(x1, K1=K1, K2=K2)
+    if x1.ndim != 2 or max(R.ndim, K1.ndim, K2.ndim) > 2 or t.ndim > 1:
+        raise InputError("batches are not supported; use torch.func.vmap")
+
+
+def _check_determined(H: Tensor) -> None:
+    """Raise DegenerateGeometryError for a curvature that is singular up to rounding."""
+    if _traced():
+        return
+    root = H.detach().diagonal().abs().sqrt()
+    scaled = (H.detach() / root / root[:, None]).double()
+    finite = bool(scaled.isfinite().all())
+    least = float(torch.linalg.eigvalsh(scaled).abs().min()) if finite else 0.0
+    if least < 1e3 * torch.finfo(H.dtype).eps:
+        raise DegenerateGeometryError("these matches do not determine the pose")
+
+
+def _check_sensitivity(sensitivity: Sensitivity) -> None:
+    check_kind(
+        score=sensitivity.score,
+        hessian=sensitivity.hessian,
+        by_intrinsics=sensitivity.by_intrinsics,
+    )
+    n = len(sensitivity.score) if sensitivity.score.ndim else 0
+    for name, a, shape in (
+        ("score", sensitivity.score, (n, 5)),
+        ("hessian", sensitivity.hessian, (n, 5, 5)),
+        ("by_intrinsics", sensitivity.by_intrinsics, (5, 8)),
+    ):
+        _check_shape(name, a, shape)
+    check_values(by_intrinsics=sensitivity.by_intrinsics)
+
+
+def _check_shape(name: str, a: Tensor, shape: tuple[int, ...]) -> None:
+    if a.shape != shape:
+        raise InputError(f"{name} must have shape {shape}, not {tuple(a.shape)}")
+
+
+def _check_sigmas(sensitivity: Sensitivity, sigma1: Tensor, sigma2: Tensor) -> None:
+    check_kind(by_intrinsics=sensitivity.by_intrinsics, sigma1=sigma1, sigma2=sigma2)
+    check_values(sigma1=sigma1, sigma2=sigma2)
+    for name, sigma in (("sigma1", sigma1), ("sigma2", sigma2)):
+        _check_shape(name, sigma, (4,))
+        if not _traced() and bool((sigma < 0).any()):
+            raise InputError(f"{name} must not be negative")
 
 
 def _sampson(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -234,9 +344,8 @@ def _inverse_derivatives(K: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Derivatives of ``K^-1`` with respect to the relative focal length, cx and cy."""
     P = inverse_intrinsics(K)
     focal, cx, cy = torch.zeros((3, 3, 3), dtype=K.dtype, device=K.device)
-    focal[0, :2], focal[1, 1] = K[0, :2], K[1, 1]
-    cx[0, 2] = cy[1, 2] = 1
-    return -P @ focal @ P, -P @ cx @ P, -P @ cy @ P
+    focal[0, 0] = focal[0, 1] = focal[1, 1] = cx[0, 2] = cy[1, 2] = 1
+    return -P @ (focal * K) @ P, -P @ cx @ P, -P @ cy @ P
 
 
 def _radial_shift(x: Tensor, K: Tensor) -> Tensor:

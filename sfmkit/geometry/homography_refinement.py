@@ -14,9 +14,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..errors import DegenerateGeometryError
 from ._implicit import Tensors, attach_derivatives, is_differentiated, solve_dense
 from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquardt
-from .checks import check_matrices, check_points, check_scale
+from .checks import _traced, check_matrices, check_points, check_scale
 from .coordinates import to_homogeneous
 from .kernels import hartley
 from .losses import LossTerms, loss_terms
@@ -60,6 +61,7 @@ def refine_homography(
 
     Raises:
         InputError: shapes, dtypes, NaN, a threshold outside 1e-100 to 1e100.
+        DegenerateGeometryError: coordinates whose squares overflow.
 
     Source: Hartley & Zisserman 4.2.6 (distance), A6.2 (iteration); the loss: Barath et al.,
     MAGSAC++, CVPR 2020.
@@ -75,6 +77,10 @@ def refine_homography(
         return (H / H[..., 2:, 2:]).to(dtype)
     # Hartley's coordinates are constants of the problem: the minimum does not depend on them.
     (_, T1), (_, T2) = hartley(x1.detach()), hartley(x2.detach())
+    if not _traced() and not bool((T1[..., 0, 0] * T2[..., 0, 0]).all()):
+        raise DegenerateGeometryError(
+            "the squares of these coordinates are outside the range of floats; scale them"
+        )
     G = T2 @ H @ torch.linalg.inv(T1)
     objective = _Objective(T1, T2, threshold_px)
     start = objective.evaluate(G / G[..., 2:, 2:], x1.detach(), x2.detach())

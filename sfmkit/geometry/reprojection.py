@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from .checks import check_intrinsics, check_matrices, check_points
+from .checks import check_batches, check_intrinsics, check_matrices, check_points
 from .distortion import distort
 
 
@@ -81,10 +81,10 @@ def reprojection_residuals(
         InputError: on shapes, dtypes or devices that do not fit, or NaN.
     """
     check_points(x1=x1, x2=x2)
-    first, second = torch.broadcast_tensors(
-        project(X, K1, distortion=d1) - x1, project(X, K2, R, t, d2) - x2
-    )
-    return torch.cat((first, second), -1)
+    p1, p2 = project(X, K1, distortion=d1), project(X, K2, R, t, d2)
+    check_batches(X=X.shape[:-1], x1=x1.shape[:-1])
+    check_batches(projected1=p1.shape, projected2=p2.shape, x1=x1.shape)
+    return torch.cat(torch.broadcast_tensors(p1 - x1, p2 - x2), -1)
 
 
 def reprojection_error(

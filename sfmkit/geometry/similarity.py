@@ -62,7 +62,12 @@ def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
     check_values(x=x, y=y)
     mean_x, mean_y = x.mean(-2, keepdim=True), y.mean(-2, keepdim=True)
     cx, cy = x - mean_x, y - mean_y
-    U, D, Vh = torch.linalg.svd(cy.mT @ cx)
+    product = cy.mT @ cx
+    if not _traced() and not bool(product.isfinite().all()):
+        raise DegenerateGeometryError(
+            "the products of these coordinates are outside the range of floats; scale them"
+        )
+    U, D, Vh = torch.linalg.svd(product)
     spread = torch.linalg.svdvals(torch.stack([cx, cy]))
     if not _traced() and bool((spread[..., 1] <= 1e-9 * spread[..., 0]).any()):
         raise DegenerateGeometryError(

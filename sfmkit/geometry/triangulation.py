@@ -163,7 +163,7 @@ def _corrected(
     xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
     """Compute :func:`corrected_matches` of checked arguments."""
-    E = torch.linalg.cross(t[..., :, None].expand_as(R), R, dim=-2)
+    E = torch.linalg.cross(*torch.broadcast_tensors(t[..., :, None], R), dim=-2)
     e = [[E[..., i, j, None] for j in range(3)] for i in range(3)]
     (x1, y1), (x2, y2) = xn1.unbind(-1), xn2.unbind(-1)
     # Epipolar lines without their constant; image 1's ("1") from the point of image 2 and the

@@ -1,8 +1,8 @@
 """Run inputs one by one in a child process, and judge how each ends.
 
 An input must be accepted, or refused with an SfmError that has a message. Findings are: any other
-exception, more than 10 seconds, 2 GB more memory than at the start, a crash of the process, and a
-file opened for writing outside the scratch folder.
+exception, more than 10 seconds of processor time (a minute of waiting), 2 GB more memory than at
+the start, a crash of the process, and a file opened for writing outside the scratch folder.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-LIMIT_S = 10
+LIMIT_S = 10.0  # of processor time, so that a busy machine makes no findings
+WAIT_S = 60.0  # for an input that waits instead of computing
 MEMORY = 2 << 30  # bytes
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
@@ -111,7 +112,7 @@ def _in_child(kind: Kind, todo: list[int], seeds: list[bytes], scratch: Path) ->
     with os.fdopen(theirs, "rb", buffering=0) as stream:
         text = b""
         while True:
-            ready, _, _ = select.select([stream], [], [], LIMIT_S + 20)
+            ready, _, _ = select.select([stream], [], [], WAIT_S + 20)
             block = os.read(stream.fileno(), 1 << 16) if ready else b""
             if not block:
                 break
@@ -157,6 +158,7 @@ def _serve(kind: Kind, todo: list[int], seeds: list[bytes], scratch: Path, answe
         raise _Hang
 
     signal.signal(signal.SIGALRM, hang)
+    signal.signal(signal.SIGPROF, hang)
     folder = scratch / "run"
     tempfile.tempdir = str(folder)
     sys.addaudithook(watch)
@@ -174,19 +176,24 @@ def _serve(kind: Kind, todo: list[int], seeds: list[bytes], scratch: Path, answe
 def _judge(kind: Kind, data: bytes, folder: Path) -> tuple[str, str]:
     from sfmkit.errors import SfmError
 
-    signal.alarm(LIMIT_S)
+    _limit(LIMIT_S, WAIT_S)
     try:
         kind.run(data, folder)
     except SfmError as error:
-        signal.alarm(0)
+        _limit(0, 0)
         return ("refused", "") if str(error).strip() else ("no message", repr(error))
     except _Hang:
         return "hang", traceback.format_exc()
     except MemoryError:
         return "memory", traceback.format_exc()
     except BaseException as error:
-        signal.alarm(0)
+        _limit(0, 0)
         return type(error).__name__, traceback.format_exc()
     finally:
-        signal.alarm(0)
+        _limit(0, 0)
     return "accepted", ""
+
+
+def _limit(computing: float, waiting: float) -> None:
+    signal.setitimer(signal.ITIMER_PROF, computing)
+    signal.setitimer(signal.ITIMER_REAL, waiting)

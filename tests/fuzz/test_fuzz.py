@@ -37,6 +37,8 @@ def misbehave(data: bytes, folder: Path) -> None:
         raise KeyError("x")
     if data == b"hang":
         time.sleep(60)
+    while data == b"loop":
+        pass
     if data == b"crash":
         os.abort()
     if data == b"memory":
@@ -50,13 +52,24 @@ def misbehave(data: bytes, folder: Path) -> None:
 
 
 def test_findings_are_noticed(monkeypatch):
-    monkeypatch.setattr(engine, "LIMIT_S", 1)
-    data = [b"fine", b"exception", b"hang", b"crash", b"memory", b"outside", b"silent", b"fine"]
+    monkeypatch.setattr(engine, "LIMIT_S", 0.5)
+    monkeypatch.setattr(engine, "WAIT_S", 2)
+    data = [
+        b"fine",
+        b"exception",
+        b"hang",
+        b"loop",
+        b"crash",
+        b"memory",
+        b"outside",
+        b"silent",
+        b"fine",
+    ]
     kind = Kind("test", lambda _: data, lambda random, seeds: b"fine", misbehave)
     found = list(endings(kind, range(len(data))))
     for file in Path(engine.tempfile.gettempdir()).glob("outside-*"):
         file.unlink()
     assert [ending.outcome for ending in found] == [
-        *("accepted", "KeyError", "hang", "crash", "memory", "wrote outside"),
+        *("accepted", "KeyError", "hang", "hang", "crash", "memory", "wrote outside"),
         *("no message", "accepted"),
     ]

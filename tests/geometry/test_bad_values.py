@@ -15,6 +15,7 @@ from sfmkit.geometry import (
     denormalize,
     epipoles,
     essential_5point,
+    fit_similarity,
     hat,
     homography_4point,
     homography_from_pose,
@@ -23,7 +24,9 @@ from sfmkit.geometry import (
     normalize,
     pose_auc,
     project_to_essential,
+    refine_homography,
     relative_pose,
+    reprojection_error,
     reprojection_residuals,
     sigma_degrees,
     so3_exp,
@@ -129,6 +132,7 @@ POINTS = torch.cat((X, torch.ones(4, 1, dtype=D)), -1)
         lambda: homography_from_pose(EYE, EYE[:2], EYE[2], torch.ones(5), EYE, EYE),
         lambda: relative_pose(EYE.expand(2, 3, 3), EYE[0], EYE.expand(5, 3, 3), EYE[0]),
         lambda: normalize(X.expand(5, 4, 2), EYE.expand(2, 3, 3)),
+        lambda: reprojection_error(POINTS[:3], X, X, EYE, EYE, EYE, EYE[0]),
     ],
 )
 def test_wrong_shapes_types_and_scales_are_refused(call):
@@ -139,6 +143,11 @@ def test_wrong_shapes_types_and_scales_are_refused(call):
 def test_numbers_whose_squares_overflow_are_refused():
     with pytest.raises(DegenerateGeometryError, match="range of floats"):
         decompose_homography((EYE + 0.1) * 1e200, EYE, EYE)
+    many = torch.rand(12, 3, generator=torch.Generator().manual_seed(0), dtype=D)
+    with pytest.raises(DegenerateGeometryError, match="range of floats"):
+        refine_homography(EYE, many[:, :2] * 1e160, many[:, :2])
+    with pytest.raises(DegenerateGeometryError, match="range of floats"):
+        fit_similarity(many * 1e300, many * 1e300)
 
 
 def test_unbatched_points_meet_batched_poses():
@@ -149,3 +158,5 @@ def test_unbatched_points_meet_batched_poses():
     r = reprojection_residuals(POINTS, X, x2[0], EYE, EYE, R, t)
     torch.testing.assert_close(r[0], torch.zeros(4, 4, dtype=D))
     assert r.shape == (2, 4, 4)
+    (first, _), _ = corrected_matches(X, x2[0], EYE, t)  # one rotation, two translations
+    assert first.shape == (2, 4)

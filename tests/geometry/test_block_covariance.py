@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from made_up_scene import make_scene
 
+from sfmkit.errors import DegenerateGeometryError, InputError
 from sfmkit.geometry.block_covariance import (
     camera_covariance,
     image_blocks,
@@ -192,3 +195,54 @@ def test_tiles_have_the_stated_size():
     blocks = image_blocks(x, (3072, 2048))
     assert blocks[0] == blocks[1] != blocks[2]
     assert blocks[3] == 7 * 12 + 11
+
+
+def with_nan(a):
+    return a.clone().index_fill(0, torch.tensor(0), torch.nan)
+
+
+SCENE = make_scene(12, noise=0.3)
+VIEWS = (SCENE.R, SCENE.t, SCENE.x1, SCENE.x2, SCENE.K1, SCENE.K2)
+LINEAR = linearise_pose(*VIEWS)
+BLOCKS = torch.arange(12)
+SIGMA = torch.ones(4, dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: linearise_pose(*VIEWS, loss="none"),
+        lambda: linearise_pose(*VIEWS, loss_scale=0.0),
+        lambda: linearise_pose(SCENE.R, 0 * SCENE.t, *VIEWS[2:]),
+        lambda: linearise_pose(SCENE.R.expand(2, 3, 3), *VIEWS[1:]),
+        lambda: linearise_pose(*VIEWS[:2], SCENE.x1[:6], *VIEWS[3:]),
+        lambda: point_derivatives(*VIEWS[:3], with_nan(SCENE.x2), *VIEWS[4:]),
+        lambda: jackknife_covariance(LINEAR, torch.zeros(12)),
+        lambda: jackknife_covariance(LINEAR, torch.zeros(11, dtype=torch.int64)),
+        lambda: jackknife_covariance(
+            replace(LINEAR, score=with_nan(LINEAR.score)), torch.arange(12)
+        ),
+        lambda: camera_covariance(LINEAR, -SIGMA, SIGMA, True),
+        lambda: camera_covariance(LINEAR, SIGMA[:3], SIGMA, True),
+        lambda: camera_covariance(replace(LINEAR, hessian=LINEAR.score), SIGMA, SIGMA, True),
+        lambda: image_blocks(SCENE.x1, (0, 0)),
+        lambda: image_blocks(SCENE.x1, SIZE, 0),
+        lambda: image_blocks(with_nan(SCENE.x1), SIZE),
+    ],
+)
+def test_bad_input_is_refused(call):
+    with pytest.raises(InputError, match=r".+"):
+        call()
+
+
+def test_matches_that_do_not_determine_the_pose_are_refused():
+    with pytest.raises(DegenerateGeometryError, match="4 points are too few"):
+        linearise_pose(*VIEWS[:2], SCENE.x1[:4], SCENE.x2[:4], *VIEWS[4:])
+    same = torch.zeros(12, dtype=torch.int64)
+    with pytest.raises(DegenerateGeometryError, match="do not determine the pose"):
+        linearise_pose(*VIEWS[:2], SCENE.x1[same], SCENE.x2[same], *VIEWS[4:])
+
+
+def test_points_outside_the_image_belong_to_the_nearest_tile():
+    x = torch.tensor([[-5.0, -1e300], [1e300, 1e300]], dtype=torch.float64)
+    assert image_blocks(x, SIZE).tolist() == [0, 143]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -17,6 +18,8 @@ import numpy as np
 import torch
 from fuzz.engine import Kind
 from torch import Tensor
+
+from sfmkit.geometry import Sensitivity
 
 EXTREMES = (0.0, 1.0, -1.0, 1e-300, 1e300, -1e300, 1e30, 1e-30, math.nan, math.inf, -math.inf)
 RECORDS = ("bundle", "camera", "pinhole", "pose", "m", "objective")  # arguments, not drawn here
@@ -33,8 +36,12 @@ def _functions() -> dict[str, Callable]:
         for name, function in exported.items()
         if inspect.isfunction(function)
         and not name.startswith("check_")
-        and not set(inspect.signature(function).parameters) & set(RECORDS)
+        and not any(map(_is_record, inspect.signature(function).parameters.values()))
     }
+
+
+def _is_record(parameter: inspect.Parameter) -> bool:
+    return parameter.name in RECORDS and "Tensor" not in str(parameter.annotation)
 
 
 def _rotation(rng: np.random.Generator) -> np.ndarray:
@@ -46,6 +53,22 @@ def _rotation(rng: np.random.Generator) -> np.ndarray:
 def _valid(name: str, rng: np.random.Generator, n: int) -> Any:
     """A sound value for an argument of this name."""
     K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    if name == "sensitivity":
+        H = rng.normal(size=(n, 5, 5))
+        parts = rng.normal(size=(n, 5)), H @ H.swapaxes(-1, -2), rng.normal(size=(5, 8))
+        return Sensitivity(*map(torch.as_tensor, parts))
+    if name == "block":
+        return rng.integers(0, 4, size=n)
+    if name in ("sigma1", "sigma2"):
+        return rng.random(4)
+    if name in ("before", "pose"):
+        return np.eye(5)
+    if name == "points":
+        return np.broadcast_to(np.eye(3), (n, 3, 3))
+    if name == "derivatives":
+        return rng.normal(size=(n, 3, 13))
+    if name == "shared":
+        return bool(rng.integers(2))
     if name in ("R4", "t4"):
         return np.stack([_rotation(rng) if name == "R4" else rng.normal(size=3) for _ in range(4)])
     if name[0] == "x" and name != "xyz":
@@ -123,8 +146,11 @@ def _call(function: Callable, number: int) -> None:
             arguments[name] = random.choice((1.0, *EXTREMES))
         else:
             value = _valid(name, rng, n)
+            if isinstance(value, Sensitivity) and random.random() < 0.5:
+                field = random.choice(fields(Sensitivity)).name
+                value = replace(value, **{field: _changed(random, getattr(value, field))})
             is_tensor = isinstance(value, (np.ndarray, float))
-            arguments[name] = torch.as_tensor(value) if is_tensor else value
+            arguments[name] = torch.as_tensor(np.array(value)) if is_tensor else value
     tensors = [name for name, value in arguments.items() if isinstance(value, Tensor)]
     for _ in range(random.choice((0, 1, 1, 2))):
         if tensors:
