@@ -10,13 +10,11 @@ larger error, and the pairs that were rejected.
 from __future__ import annotations
 
 import argparse
-import os
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
-from sfmkit import Camera, Features, Matches, detect, read_image
+from sfmkit import Features, Matches, detect, read_image
+from sfmkit.datasets.middlebury import RingView, temple_ring
 from sfmkit.options import DEFAULT
 from sfmkit.pipeline.stages import (
     choose_options,
@@ -38,19 +36,6 @@ COMBINATIONS: tuple[tuple[tuple[str, ...], dict[str, str]], ...] = (
 CORRECT_DEG = 5.0
 
 
-def read_cameras(folder: Path) -> list[tuple[Path, np.ndarray, np.ndarray, np.ndarray]]:
-    """Read (path, K, R, t) of every photograph, ordered by its position on the ring."""
-    lines = (folder / "templeSR_par.txt").read_text().splitlines()[1:]
-    rows = [line.split() for line in lines if line.strip()]
-    numbers = np.array([row[1:] for row in rows], dtype=np.float64)
-    K, R, t = numbers[:, :9].reshape(-1, 3, 3), numbers[:, 9:18].reshape(-1, 3, 3), numbers[:, 18:]
-    centred = -np.einsum("nji,nj->ni", R, t)
-    centred -= centred.mean(0)
-    plane = np.linalg.svd(centred)[2][:2]
-    x, y = plane @ centred.T
-    return [(folder / rows[i][0], K[i], R[i], t[i]) for i in np.argsort(np.arctan2(y, x))]
-
-
 @cache
 def features(path: Path, operator: str) -> Features:
     """Detect once per photograph."""
@@ -66,22 +51,23 @@ def match(path1: Path, path2: Path, operator: str, matcher: str) -> Matches:
 
 
 def judge(
-    view1: tuple[Path, np.ndarray, np.ndarray, np.ndarray],
-    view2: tuple[Path, np.ndarray, np.ndarray, np.ndarray],
+    view1: RingView,
+    view2: RingView,
     operators: tuple[str, ...],
     matchers: dict[str, str],
 ) -> str:
     """Return `correct`, `wrong` or `rejected`."""
-    (path1, K1, R1, t1), (path2, K2, R2, t2) = view1, view2
-    found = {name: (features(path1, name), features(path2, name)) for name in operators}
-    matched = {name: match(path1, path2, name, matchers.get(name, "nearest")) for name in operators}
+    found = {name: (features(view1.path, name), features(view2.path, name)) for name in operators}
+    matched = {
+        name: match(view1.path, view2.path, name, matchers.get(name, "nearest"))
+        for name in operators
+    }
     corr = fuse_all(found, matched, DEFAULT.fuse)
-    cameras = tuple(Camera(K, read_image(p).size_wh) for K, p in ((K1, path1), (K2, path2)))
-    view, _ = estimate_geometry(corr, (cameras[0], cameras[1]), DEFAULT.estimate)
+    view, _ = estimate_geometry(corr, (view1.camera, view2.camera), DEFAULT.estimate)
     if view.t is None:
         return "rejected"
-    R = R2 @ R1.T
-    errors = pose_errors(view, R, t2 - R @ t1)
+    R = view2.R @ view1.R.T
+    errors = pose_errors(view, R, view2.t - R @ view1.t)
     return "correct" if max(errors.values()) < CORRECT_DEG else "wrong"
 
 
@@ -90,7 +76,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--step", type=int, default=2, help="positions between the photographs")
     step = parser.parse_args().step
-    ring = read_cameras(Path(os.environ["SFMKIT_DATA"]) / "middlebury" / "templeSparseRing")
+    ring = temple_ring()
     print("| operators | pairs | correct | wrong | rejected |\n|---|--:|--:|--:|--:|")
     for operators, matchers in COMBINATIONS:
         results = [

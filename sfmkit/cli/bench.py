@@ -289,6 +289,41 @@ def pairs_of_any_data(
     hand_over(out, pairs_result(rows, command_line()))
 
 
+@bench.command("verdict")
+@click.option(
+    "--groups",
+    callback=names,
+    metavar="A,B",
+    help="Groups of pairs whose names begin with these, such as fountain or 'across scenes'.",
+)
+@OPERATORS
+@click.option(
+    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one a core."
+)
+@OUT("verdict")
+@DATA
+def verdict_of_pairs(
+    groups: tuple[str, ...] | None,
+    operators: tuple[str, ...],
+    workers: int | None,
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Which poses are accepted and whether they are right, beside PoseLib, pycolmap and OpenCV.
+
+    Pairs with a solution, and pairs without one: other scenes, disjoint parts, mirror images and
+    repeated texture. Resumes an interrupted run.
+    """
+    from ..evaluation.verdict import bench_verdict
+    from ..evaluation.verdict_tables import verdict_result
+
+    with parts_bar("verdict") as report:
+        rows = bench_verdict(
+            out, data=data, groups=groups, operators=operators, workers=workers, progress=report
+        )
+    hand_over(out, verdict_result(rows, out, command_line()))
+
+
 def command_line() -> str:
     """What was typed, as it can be typed again; without the folders, which differ from machine to
     machine."""

@@ -7,5 +7,13 @@ from .fountain import bench_fountain
 from .oxford import bench_oxford
 from .pairs import bench_pairs
 from .uav import bench_uav
+from .verdict import bench_verdict
 
-__all__ = ["bench_fountain", "bench_oxford", "bench_pairs", "bench_uav", "density_report"]
+__all__ = [
+    "bench_fountain",
+    "bench_oxford",
+    "bench_pairs",
+    "bench_uav",
+    "bench_verdict",
+    "density_report",
+]

@@ -1,0 +1,57 @@
+"""The ROC figure of the benchmark of verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .._utils.writing import atomic_write
+
+__all__ = ["Curve", "draw_roc"]
+
+Point = tuple[int, float]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A method's curve.
+
+    Attributes:
+        name: Of the method.
+        points: Wrong poses accepted, share of the solved pairs accepted with the right pose; from
+            strict to lenient.
+        marks: Label and point of the method's own rules.
+    """
+
+    name: str
+    points: tuple[Point, ...]
+    marks: tuple[tuple[str, Point], ...]
+
+
+def draw_roc(path: Path, curves: Sequence[Curve]) -> None:
+    """Draw right poses over wrong poses, with a logarithmic axis beyond ten wrong ones, as PNG."""
+    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+    ax = figure.subplots()
+    ax.set_xscale("symlog", linthresh=10)
+    for k, curve in enumerate(curves):
+        x, y = zip(*curve.points)
+        ax.plot(x, y, color=f"C{k}", label=curve.name, drawstyle="steps-post", zorder=3 - k / 10)
+        for label, (wrong, right) in curve.marks:
+            ax.plot(wrong, right, "o", color=f"C{k}", markersize=7, zorder=4)
+            ax.annotate(
+                label, (wrong, right), xytext=(5, -11), textcoords="offset points", color=f"C{k}"
+            )
+    ax.set_xlim(left=-0.4)
+    ax.set_ylim(0, 1.02)
+    ax.set_xlabel("wrong poses accepted (number of pairs)")
+    ax.set_ylabel("solved pairs accepted with the right pose")
+    ax.grid(alpha=0.3)
+    ax.legend(loc="lower right")
+    FigureCanvasAgg(figure)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
