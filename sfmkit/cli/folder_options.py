@@ -13,7 +13,8 @@ import click
 from .parsing import POSITIVE, SEED, matchers, names, size_in_bytes
 
 if TYPE_CHECKING:
-    from ..mapping import MatchedFolder, Workshop
+    from ..mapping import MatchedFolder
+    from ..mapping.planning import FolderPlan
     from ..options import Options
 
 __all__ = ["folder_options", "match", "print_pairs"]
@@ -137,15 +138,25 @@ def folder_options(command: F) -> F:
 
 
 def match(
-    watch: Any, shard: tuple[int, int] | None = None, **given: Any
-) -> tuple[MatchedFolder, Workshop]:
-    """Match a folder as the options say."""
+    watch: Any,
+    shard: tuple[int, int] | None = None,
+    check: Callable[[FolderPlan], None] | None = None,
+    **given: Any,
+) -> MatchedFolder:
+    """Match a folder as the options say.
+
+    Args:
+        watch: Called with the progress.
+        shard: Part of the pairs.
+        check: Called with the plan before the work.
+        given: The values of the options.
+    """
     from ..mapping import Workshop, match_folder
 
     workshop = Workshop.of(
         given["cache"], given["cache_size"], given["workers"], given["scheduler"], watch
     )
-    matched = match_folder(
+    return match_folder(
         given["folder"],
         intrinsics=given["intrinsics"],
         operators=given["operators"],
@@ -156,9 +167,9 @@ def match(
         masks=given["masks"],
         seed=given["seed"],
         shard=shard,
+        check=check,
         workshop=workshop,
     )
-    return matched, workshop
 
 
 def _stage_options(**given: Any) -> Options:

@@ -35,6 +35,7 @@ COMMANDS = {
     "density": ("density", "density"),
     "compare": ("compare", "compare"),
     "pairs": ("pairs", "pairs"),
+    "map": ("map", "map_command"),
     "ablate": ("ablate", "ablate"),
     "cache": ("cache", "cache"),
 }

@@ -7,15 +7,14 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from ..errors import InputError
 from ..io.colmap.cameras import to_colmap
+from ..io.colmap.engine import pycolmap_module
 from ..types import Camera, PointCloud
 
 NAME = "colmap"
@@ -42,22 +41,6 @@ class ColmapModel:
     @property
     def total_seconds(self) -> float:
         return sum(self.seconds.values())
-
-
-def pycolmap_module() -> Any:
-    """pycolmap, quietened.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        module = import_module("pycolmap")
-    except ImportError as error:
-        raise InputError(
-            "pycolmap is not installed; it comes with the peers extra: pip install 'sfmkit[peers]'"
-        ) from error
-    module.logging.minloglevel = 3  # its failures come back as answers
-    return module
 
 
 def extract_and_match(

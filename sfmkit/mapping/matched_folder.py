@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -235,6 +235,7 @@ def match_folder(
     masks: str | os.PathLike | None = None,
     seed: int = 0,
     shard: tuple[int, int] | None = None,
+    check: Callable[[FolderPlan], None] | None = None,
     workshop: Workshop | None = None,
 ) -> MatchedFolder:
     """Match the photographs of a folder and judge every pair.
@@ -255,6 +256,7 @@ def match_folder(
         masks: Folder of masks, black where keypoints are not used.
         seed: The same seed gives the same result on the same machine.
         shard: (i, n) for part i of n of the pairs, i from 1.
+        check: Called with the plan before the work; it may raise InputError.
         workshop: Cache, workers and progress; None for the defaults.
 
     Raises:
@@ -269,6 +271,8 @@ def match_folder(
     plan = plan_folder(collection, recipe, workshop, intrinsics=intrinsics, pairs=pairs)
     if shard is not None:
         plan = plan.part(*shard)
+    if check is not None:
+        check(plan)
     tasks = (plan.task(row) for row in range(len(plan)))
     failures = workshop.run("pairs", tasks, len(plan), plan.seconds(), recipe)
     if len(failures) and all(plan.task(k).key in failures for k in range(len(plan))):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import cv2
 import numpy as np
 import PIL.Image
 import pyarrow as pa
@@ -12,6 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
+from photograph_folder import SIZE, K, scene
 from small_sweep import InlineEngine
 
 from sfmkit.ablation.engines import LocalEngine
@@ -21,26 +21,6 @@ from sfmkit.mapping import Workshop, match_folder, read_collection
 from sfmkit.mapping.retrieval import similarities
 from sfmkit.matching import fuse
 from sfmkit.types import Matches
-
-SIZE = (320, 240)
-K = "300,300,159.5,119.5"
-
-
-def scene(folder, count=3, step=24):
-    """Write photographs of two textured planes at different depths, with the camera moving."""
-    rng = np.random.default_rng(0)
-    folder.mkdir(parents=True, exist_ok=True)
-    planes = [
-        cv2.resize(rng.integers(0, 255, (150, 300, 3), np.uint8), None, fx=3, fy=3) for _ in "12"
-    ]
-    for k in range(count):
-        w, h = SIZE
-        back = planes[0][100 : 100 + h, 100 + k * step : 100 + k * step + w].copy()
-        x = 60 + 2 * k * step
-        near = planes[1][20 : 20 + h // 2, x : x + w]
-        back[h // 2 :] = near[: h - h // 2]
-        PIL.Image.fromarray(back).save(folder / f"{k}.png")
-    return folder
 
 
 @pytest.fixture(scope="module", autouse=True)
