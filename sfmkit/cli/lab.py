@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
 import os
+import re
 import signal
 import sys
 from importlib.util import find_spec
@@ -14,7 +16,7 @@ import click
 from .._utils import tether
 from ..errors import InputError
 
-__all__ = ["lab", "lab_command", "notebook_folder", "runs_as_root"]
+__all__ = ["lab", "lab_command", "marks_file", "notebook_folder", "runs_as_root"]
 
 HOST = "127.0.0.1"
 
@@ -40,8 +42,15 @@ def notebook_folder(folder: Path | None) -> Path:
     )
 
 
-def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict[str, str]]:
-    """Make the command line of JupyterLab and its environment."""
+def lab_command(
+    folder: Path, port: int, browser: bool, student: str | None = None
+) -> tuple[list[str], dict[str, str]]:
+    """Make the command line of JupyterLab and its environment.
+
+    Args:
+        student: whose checks are written to :func:`marks_file`; the solutions are hidden. None
+            without a class.
+    """
     first = min(folder.glob("*.ipynb"))
     command = [
         sys.executable,
@@ -63,12 +72,32 @@ def lab_command(folder: Path, port: int, browser: bool) -> tuple[list[str], dict
     settings = os.pathsep.join(
         filter(None, (str(Path(__file__).parent), os.environ.get("JUPYTER_CONFIG_PATH")))
     )
+    classroom = {}
+    if student is not None:
+        from ..teaching.marks import FILE, STUDENT
+
+        hidden = ["__pycache__", "*.pyc", "*.pyo", ".DS_Store", "*~", "solutions"]
+        command.append(f"--ContentsManager.hide_globs={hidden!r}")
+        classroom = {STUDENT: student, FILE: str(marks_file(folder, student))}
     # rerun reads the variable when it is imported: the kernel is to serve the viewer's page.
     return command, {
         **os.environ,
+        **classroom,
         "JUPYTER_CONFIG_PATH": settings,
         "RERUN_NOTEBOOK_ASSET": "serve-local",
     }
+
+
+def marks_file(folder: Path, student: str) -> Path:
+    """Return the file of the student's checks: ``marks-NAME.jsonl`` beside the notebooks.
+
+    Raises:
+        InputError: a name without a letter or digit.
+    """
+    name = re.sub(r"\W+", "-", student).strip("-").lower()
+    if not name:
+        raise InputError(f"the name {student!r} has no letter or digit")
+    return folder / f"marks-{name}.jsonl"
 
 
 def runs_as_root() -> bool:
@@ -88,7 +117,16 @@ def runs_as_root() -> bool:
 @click.option(
     "--browser/--no-browser", default=True, show_default=True, help="Open a browser on it."
 )
-def lab(folder: Path | None, port: int, browser: bool) -> None:
+@click.option(
+    "--class",
+    "student",
+    is_flag=False,
+    flag_value="",
+    metavar="[NAME]",
+    help="For a class: hide the solutions, and write every check to the marks file of the student "
+    "NAME (default: the login name) beside the notebooks.",
+)
+def lab(folder: Path | None, port: int, browser: bool, student: str | None) -> None:
     """Open the notebooks in JupyterLab; it listens on 127.0.0.1 only and needs no internet.
 
     FOLDER: other notebooks than the project's own.
@@ -106,7 +144,10 @@ def lab(folder: Path | None, port: int, browser: bool) -> None:
             "127.0.0.1 only.",
             err=True,
         )
-    command, environment = lab_command(place, port, browser)
+    if student is not None:
+        student = student.strip() or getpass.getuser()
+        click.echo(f"the checks of {student} are written to {marks_file(place, student)}")
+    command, environment = lab_command(place, port, browser, student)
     if sys.stdin is not None and sys.stdin.isatty():
         signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C reaches JupyterLab, which asks
     server = tether.start(command, environment)

@@ -30,6 +30,7 @@ COMMANDS = {
     "view": ("inspect", "view"),
     "data": ("data", "data"),
     "lab": ("lab", "lab"),
+    "marks": ("marks", "marks"),
     "bench": ("bench", "bench"),
     "report": ("report", "report"),
     "density": ("density", "density"),

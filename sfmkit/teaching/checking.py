@@ -18,6 +18,8 @@ import numpy as np
 from ..errors import InputError
 from .exercise import Exercise
 from .exercises import EXERCISES
+from .hints import HINTS
+from .marks import append_mark, current_class
 
 ROUNDED = 0.01  # relative difference up to which a value is regarded as rounded too early
 WIDTH = 96  # characters that fit into one line of a notebook cell
@@ -32,20 +34,42 @@ class Judgement:
     answered: bool = True
 
 
-def check(exercise: str, answer: Any) -> None:
+def check(exercise: str, answer: Any = ..., hint: int = 0) -> None:
     """Grade the answer to an exercise and print the result.
+
+    In a class (`sfmkit lab --class`), the check is also written to the marks file.
 
     Args:
         exercise: the number of the exercise, for example ``"04.1"``.
         answer: a number, array, string or function, depending on the exercise; ``...`` prints
             the question.
+        hint: level up to which hints are printed if the answer is not correct: 1 for the idea, 2
+            for the formula too.
 
     Raises:
-        InputError: there is no such exercise.
+        InputError: there is no such exercise or level.
     """
     judgement = judge(exercise, answer)
+    if hint not in range(len(HINTS[exercise]) + 1):
+        raise InputError(f"hint is 0, 1 or 2, not {hint!r}")
     sign = "✓ " if judgement.right else "✗ " if judgement.answered else "○ "
     print(fill(judgement.message, WIDTH, initial_indent=sign, subsequent_indent="  "))
+    shown = 0 if judgement.right else int(hint)
+    for level, words in enumerate(HINTS[exercise][:shown], start=1):
+        start = f"  hint {level}: "
+        print(fill(words, WIDTH, initial_indent=start, subsequent_indent=" " * len(start)))
+    _log(exercise, judgement, shown)
+
+
+def _log(exercise: str, judgement: Judgement, hint: int) -> None:
+    """Write the check to the marks file of the class, if there is a class."""
+    if (entry := current_class()) is None or not (judgement.answered or hint):
+        return
+    student, file = entry
+    try:
+        append_mark(file, student, exercise, judgement.right, judgement.answered, hint)
+    except OSError as error:
+        print(f"The check was not recorded: {file} cannot be written ({error}).")
 
 
 def judge(exercise: str, answer: Any, exercises: Mapping[str, Exercise] | None = None) -> Judgement:

@@ -112,6 +112,19 @@ def test_a_notebook_has_no_outputs_is_short_and_lists_its_goals(notebook):
     assert "## Exercises" in text
 
 
+def test_a_notebook_states_its_time_and_prerequisites_and_is_a_slide_show(notebook):
+    from nbconvert import SlidesExporter
+
+    first = notebook.cells[0].source
+    assert re.search(r"\*\*Time:\*\* \d+ minutes, .*\*\*Prerequisites:\*\* \w", first)
+    for cell in notebook.cells:
+        kind = cell.metadata.slideshow.slide_type
+        assert (kind == "slide") == (cell.cell_type == "markdown" and cell.source.startswith("#"))
+    headings = [c for c in notebook.cells if c.cell_type == "markdown" and c.source[0] == "#"]
+    page = SlidesExporter().from_notebook_node(notebook)[0]
+    assert len(re.findall(r"<section[^>]*>\s*<section", page)) == len(headings)
+
+
 @pytest.mark.parametrize("path", SOLUTIONS, ids=lambda path: path.stem)
 def test_the_solutions_pass_every_exercise_of_their_notebook(path, monkeypatch):
     solved = {}
