@@ -324,6 +324,59 @@ def verdict_of_pairs(
     hand_over(out, verdict_result(rows, out, command_line()))
 
 
+@bench.command("map")
+@click.option(
+    "--scenes",
+    default="fountain,temple,drone",
+    show_default=True,
+    callback=names,
+    metavar="A,B",
+)
+@OPERATORS
+@MAX_SIZE
+@click.option(
+    "--budget",
+    type=click.IntRange(1, 10_000_000),
+    default=8_192,
+    show_default=True,
+    metavar="N",
+    help="Keypoints per operator and photograph, COLMAP's SIFT included.",
+)
+@click.option("--two-view-points", is_flag=True, help="Keep points that only two photographs show.")
+@click.option(
+    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
+)
+@OUT("bench-map")
+@DATA
+def map_of_many_views(
+    scenes: tuple[str, ...],
+    operators: tuple[str, ...],
+    max_size: int | None,
+    budget: int,
+    two_view_points: bool,
+    workers: int | None,
+    out: Path,
+    data: Path | None,
+) -> None:
+    """Operators alone and together, and COLMAP's SIFT, with COLMAP's mapper. Can be resumed."""
+    from ..evaluation.maps import bench_map
+    from ..evaluation.maps_tables import maps_result
+
+    with parts_bar("map") as report:
+        rows = bench_map(
+            out,
+            data=data,
+            scenes=scenes,
+            operators=operators,
+            max_size=max_size,
+            budget=budget,
+            two_view_points=two_view_points,
+            workers=workers,
+            progress=report,
+        )
+    hand_over(out, maps_result(rows, command_line()))
+
+
 def command_line() -> str:
     """What was typed, as it can be typed again; without the folders, which differ from machine to
     machine."""
