@@ -64,6 +64,7 @@ class Plan:
         operators, combinations, variants, seeds: what it runs.
         units: all estimates, in the order of the table's rows.
         plugins: those that are not part of sfmkit.
+        shard: (i, n) where the pairs are part i of n of those of a sweep.
     """
 
     pairs: tuple[PlannedPair, ...]
@@ -73,6 +74,7 @@ class Plan:
     seeds: int
     units: tuple[EstimateTask, ...]
     plugins: tuple[PlugIn, ...] = ()
+    shard: tuple[int, int] | None = None
 
     @cached_property
     def matchings(self) -> dict[str, MatchTask]:
@@ -138,6 +140,7 @@ class Plan:
             "variants": [{"preset": v.preset, "vary": dict(v.changes)} for v in self.variants],
             "seeds": self.seeds,
             "plugins": [asdict(plugin) for plugin in self.plugins],
+            "shard": None if self.shard is None else list(self.shard),
             "pairs": [p.as_json() for p in self.pairs],
         }
 
@@ -172,6 +175,7 @@ def make_plan(
     root: str | os.PathLike | None = None,
     cache: Cache | None = None,
     images: Path | None = None,
+    shard: tuple[int, int] | None = None,
     say: Progress = silent,
 ) -> Plan:
     """Lay out a sweep; arguments as for :func:`sfmkit.ablation.ablate`.
@@ -179,9 +183,11 @@ def make_plan(
     Args:
         cache: where rendered pairs are kept.
         images: folder for images that are not files.
+        shard: (i, n): only part i of n of the pairs; the images of other parts are not read.
 
     Raises:
-        InputError: unknown operators, combinations, presets, settings, data sets.
+        InputError: unknown operators, combinations, presets, settings, data sets; fewer pairs than
+            shards.
     """
     names = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     for name in names:
@@ -195,7 +201,7 @@ def make_plan(
     plugins = _plugins(names, variants)
     shelf = ImageShelf(images)
     found = []
-    for pair in find_pairs(data, root, cache, say):
+    for pair in part_of(find_pairs(data, root, cache, say), shard):
         say("images", str(pair))
         found.append(plan_pair(pair, shelf))
     units = [
@@ -204,7 +210,29 @@ def make_plan(
         for unit in _units(index, pair, combinations, variants, seeds, plugins)
     ]
     own = tuple(p for p in plugins.values() if not REGISTRIES[p.kind].is_built_in(p.name))
-    return Plan(tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units), own)
+    return Plan(
+        tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units), own, shard
+    )
+
+
+def part_of(pairs: Sequence[Pair], shard: tuple[int, int] | None) -> Sequence[Pair]:
+    """The pairs of a shard: consecutive ones, in parts whose sizes differ by at most one.
+
+    Args:
+        pairs: All pairs of the sweep.
+        shard: (i, n) for part i of n, i from 1; None for all.
+
+    Raises:
+        InputError: There are fewer pairs than shards, or i is not from 1 to n.
+    """
+    if shard is None:
+        return pairs
+    number, of = shard
+    if not 1 <= number <= of:
+        raise InputError(f"shard must be (i, n) with 1 <= i <= n, not {shard}")
+    if of > len(pairs):
+        raise InputError(f"{len(pairs)} pairs cannot be split into {of} shards")
+    return pairs[len(pairs) * (number - 1) // of : len(pairs) * number // of]
 
 
 def chosen_plugins(

@@ -82,6 +82,7 @@ def ablate(
     wait: float = WAIT_S,
     cache: str | os.PathLike | None = None,
     cache_limit: int = DEFAULT_LIMIT,
+    shard: tuple[int, int] | None = None,
     progress: Watcher | None = None,
 ) -> AblationTable:
     """Run every combination of operators on every pair, and return one table.
@@ -113,6 +114,8 @@ def ablate(
             travel to them and arrays back (``bytes``).
         cache: folder; None: :func:`~.cache.cache_folder`.
         cache_limit: bytes of the cache.
+        shard: (i, n): only part i of n of the pairs; :func:`sfmkit.ablation.merge.merge_shards`
+            merges the folders of all parts.
         progress: called with a :class:`SweepState`.
 
     Raises:
@@ -143,6 +146,7 @@ def ablate(
                 wait=wait,
                 cache=cache,
                 cache_limit=cache_limit,
+                shard=shard,
                 progress=progress,
             )
         return AblationTable(table.data)
@@ -163,6 +167,7 @@ def ablate(
             root=root,
             cache=store,
             images=folder.images,
+            shard=shard,
             say=_planning(watch),
         )
         folder.open(plan)

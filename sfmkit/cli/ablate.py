@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
+from .ablate_merge import merge
 from .ablate_report import report
-from .parsing import matchers, names, size_in_bytes
+from .parsing import matchers, names, parse_shard, size_in_bytes
 from .progress import resumable
 
 
@@ -109,6 +110,12 @@ from .progress import resumable
     type=click.Path(path_type=Path),
     help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
 )
+@click.option(
+    "--shard",
+    callback=parse_shard,
+    metavar="I/N",
+    help="Only part I of N of the pairs; merge the folders of all parts by `sfmkit ablate merge`.",
+)
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def ablate(ctx: click.Context, **options: Any) -> None:
@@ -126,6 +133,7 @@ def ablate(ctx: click.Context, **options: Any) -> None:
 
 
 ablate.add_command(report)
+ablate.add_command(merge)
 
 
 def run(
@@ -146,6 +154,7 @@ def run(
     cache: Path | None,
     cache_size: int,
     root: Path | None,
+    shard: tuple[int, int] | None,
     quiet: bool,
 ) -> None:
     from ..errors import InputError
@@ -171,6 +180,7 @@ def run(
             "matchers": matchers,
             "backend": backend,
             "root": root,
+            "shard": shard,
         }
         print_plan(data, operators, sweep, cache, workers)
         return
@@ -192,13 +202,15 @@ def run(
             wait=wait,
             cache=cache,
             cache_limit=cache_size,
+            shard=shard,
             progress=watch,
         )
     if not quiet:
         from ..ablation.watching import print_overview
 
         print_overview(table)
-        click.echo(f"{len(table):,} rows in {table.path}; next: sfmkit ablate report {out}")
+        following = "sfmkit ablate merge" if shard else f"sfmkit ablate report {out}"
+        click.echo(f"{len(table):,} rows in {table.path}; next: {following}")
 
 
 def print_plan(

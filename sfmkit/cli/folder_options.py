@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -186,18 +185,6 @@ def _stage_options(**given: Any) -> Options:
         estimate=replace(options.estimate, **estimate),
         detect=replace(options.detect, **sizes),
     )
-
-
-def parse_shard(
-    _ctx: click.Context, _param: click.Parameter, value: str | None
-) -> tuple[int, int] | None:
-    """``"2/4"`` as ``(2, 4)``."""
-    if value is None:
-        return None
-    found = re.fullmatch(r"\s*([0-9]{1,6})\s*/\s*([0-9]{1,6})\s*", value)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise click.BadParameter(f"{value!r} is not I/N with 1 <= I <= N, such as 2/4")
-    return int(found[1]), int(found[2])
 
 
 def print_pairs(report: dict[str, Any]) -> None:

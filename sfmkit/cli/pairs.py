@@ -10,7 +10,8 @@ import click
 
 from .._utils.writing import check_free
 from .exit_status import OK, UNTRUSTWORTHY
-from .folder_options import folder_options, match, parse_shard, print_pairs
+from .folder_options import folder_options, match, print_pairs
+from .parsing import parse_shard
 from .progress import resumable
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-__all__ = ["POSITIVE", "SEED", "Finite", "names", "size_in_bytes"]
+__all__ = ["POSITIVE", "SEED", "Finite", "matchers", "names", "parse_shard", "size_in_bytes"]
 
 SEED = click.IntRange(0, 2**31 - 1)  # what every back end accepts; OpenCV takes a C int
 
@@ -77,3 +77,15 @@ def _two_names(value: str) -> tuple[str, str]:
     if not operator or not matcher or "=" in matcher:
         raise click.BadParameter(f"{value!r} is not of the form OPERATOR=MATCHER")
     return operator, matcher
+
+
+def parse_shard(
+    _ctx: click.Context, _param: click.Parameter, value: str | None
+) -> tuple[int, int] | None:
+    """``"2/4"`` as ``(2, 4)``."""
+    if value is None:
+        return None
+    found = re.fullmatch(r"\s*([0-9]{1,6})\s*/\s*([0-9]{1,6})\s*", value)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise click.BadParameter(f"{value!r} is not I/N with 1 <= I <= N, such as 2/4")
+    return int(found[1]), int(found[2])

@@ -1,0 +1,91 @@
+"""Shards of a sweep, merged: the rows of the sweep without shards."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from click.testing import CliRunner
+from small_sweep import InlineEngine, pairs
+
+from sfmkit.ablation import ablate, read_sweep, read_table, run, worker
+from sfmkit.ablation.merge import merge_shards
+from sfmkit.ablation.plan import part_of
+from sfmkit.cli import main
+from sfmkit.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory):
+    """The sweep on four pairs, whole and in three shards, with a cache for each."""
+    home = tmp_path_factory.mktemp("shards")
+    found = pairs(home / "images", 3, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "LocalEngine", InlineEngine)
+        for name, shard in (("whole", None), *((f"{k}", (k, 3)) for k in (1, 2, 3))):
+            worker._kept.clear()
+            ablate(
+                found,
+                ["orb", "akaze"],
+                seeds=2,
+                out=home / name,
+                cache=home / f"cache-{name}",
+                shard=shard,
+            )
+    return home
+
+
+def test_the_merged_shards_equal_the_whole_row_for_row(shards, tmp_path):
+    merged = merge_shards([shards / "3", shards / "1", shards / "2"], tmp_path / "o")
+    whole = read_table(shards / "whole")
+    assert merged.results() == whole.results()
+    assert read_table(tmp_path / "o").data == merged.data
+    sweep = read_sweep(tmp_path / "o")
+    assert sweep["pairs"] == read_sweep(shards / "whole")["pairs"]
+    assert [len(read_sweep(shards / k)["pairs"]) for k in "123"] == [1, 1, 2]
+
+
+def test_a_shard_that_is_run_again_changes_nothing(shards, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "LocalEngine", InlineEngine)
+    worker._kept.clear()
+    again = tmp_path / "again"
+    ablate(
+        pairs(shards / "images", 3, 1),
+        ["orb", "akaze"],
+        seeds=2,
+        out=again,
+        cache=shards / "cache-2",
+        shard=(2, 3),
+    )
+    merged = merge_shards([shards / "1", again, shards / "3"], tmp_path / "o")
+    assert merged.results() == read_table(shards / "whole").results()
+
+
+def test_missing_doubled_and_unfinished_shards_are_refused(shards, tmp_path):
+    with pytest.raises(InputError, match="these are missing: 2"):
+        merge_shards([shards / "1", shards / "3"], tmp_path / "o")
+    with pytest.raises(InputError, match="are both shard 1 of 3"):
+        merge_shards([shards / "1", shards / "1"], tmp_path / "o")
+    with pytest.raises(InputError, match="is not a shard"):
+        merge_shards([shards / "whole"], tmp_path / "o")
+    shutil.copytree(shards / "2", tmp_path / "2")
+    (tmp_path / "2/ablation.parquet").unlink()
+    done = CliRunner().invoke(
+        main,
+        ["ablate", "merge", *(str(p) for p in (shards / "1", tmp_path / "2", shards / "3"))]
+        + ["--out", str(tmp_path / "o")],
+    )
+    assert done.exit_code == 2
+    assert "completes an interrupted sweep" in done.output
+    assert not (tmp_path / "o").exists()
+
+
+def test_parts_are_consecutive_and_cover_everything():
+    numbers = list(range(10))
+    parts = [part_of(numbers, (k, 4)) for k in (1, 2, 3, 4)]
+    assert [n for part in parts for n in part] == numbers
+    assert {len(part) for part in parts} == {2, 3}
+    with pytest.raises(InputError, match="10 pairs cannot be split into 11 shards"):
+        part_of(numbers, (1, 11))
+    with pytest.raises(InputError, match="1 <= i <= n"):
+        part_of(numbers, (0, 2))
