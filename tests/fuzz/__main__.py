@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import collections
+import resource
 import sys
 import time
 from dataclasses import replace
@@ -38,8 +39,14 @@ def main() -> int:
     kinds = [KINDS[name] for name in chosen.kind or KINDS]
     count = -(-chosen.inputs // len(kinds))
     print(f"{count} inputs of each of {len(kinds)} kinds, from number {chosen.seed}")
+    began = time.monotonic()
     found = sum(run(kind, range(chosen.seed, chosen.seed + count), chosen.out) for kind in kinds)
-    print(f"{count * len(kinds)} inputs, {found} findings")
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024  # kB on Linux
+    seconds = time.monotonic() - began
+    print(
+        f"{count * len(kinds)} inputs, {found} findings, {seconds:.0f} s, "
+        f"largest process {largest:.0f} MB"
+    )
     return int(found > 0)
 
 
