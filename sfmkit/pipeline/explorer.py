@@ -111,7 +111,8 @@ class EpipolarExplorer:
             np.zeros((0, 2), np.float32)
         ]
         self._keypoints2 = torch.from_numpy(np.concatenate(keypoints).astype(np.float64))
-        self._ideal2 = undistort_pixels(self._keypoints2, view.camera2)
+        # NaN outside the field of the lens: on no epipolar line
+        self._ideal2 = undistort_pixels(self._keypoints2, view.camera2, return_valid=True)[0]
         cloud = result.cloud
         #: the depth to which rays are drawn, baselines
         self.far = (

@@ -28,11 +28,27 @@ __all__ = [
 
 
 def ideal_pixels(x: np.ndarray | Tensor, camera: Camera | None) -> np.ndarray:
-    """Pixels (N, 2) as a pinhole camera with the same K sees them: without distortion, float64."""
+    """Pixels (N, 2) as a pinhole camera with the same K sees them: without distortion, float64.
+
+    A pixel outside the field of the lens has no place there: it is moved to the border of the
+    field, towards the principal point.
+    """
     t = torch.as_tensor(np.asarray(x), dtype=torch.float64)
     if camera is None:
         return t.numpy()
-    return undistort_pixels(t, camera).numpy()
+    ideal, valid = undistort_pixels(t, camera, return_valid=True)
+    if not bool(valid.all()):
+        centre = camera.tensors()[0][:2, 2]
+        outside = t[~valid] - centre
+        place, share, step = centre.expand_as(outside), torch.zeros_like(outside[:, :1]), 0.5
+        for _ in range(20):  # bisection; the principal point stays where it is
+            tried = centre + (share + step) * outside
+            found, within = undistort_pixels(tried, camera, return_valid=True)
+            place = torch.where(within[:, None], found, place)
+            share = share + step * within[:, None]
+            step /= 2
+        ideal[~valid] = place
+    return ideal.numpy()
 
 
 def ideal_image(rgb: np.ndarray, camera: Camera) -> np.ndarray:

@@ -363,3 +363,14 @@ def test_operators_and_seed_are_checked_before_images_are_read(run):
     for seed in (-1, 2**31):
         with pytest.raises(InputError, match="seed must be from 0"):
             run("missing.png", "missing.png", operators=("orb",), seed=seed)
+
+
+def test_a_distortion_that_folds_inside_the_image_is_a_warning(small_pair, tmp_path):
+    """Also for keypoints that have no match, which the recording shows."""
+    extra = ("--intrinsics", small_pair[2] + ",-0.6", "--budget", "1500")
+    command = ["reconstruct", *map(str, small_pair[:2]), "--operators", "orb", *extra]
+    result = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "o")])
+    assert result.exit_code in (0, 1), result.output
+    warnings = json.loads((tmp_path / "o/report.json").read_text())["warnings"]
+    assert any("lie outside the field" in warning for warning in warnings)
+    assert (tmp_path / "o/recording.rrd").stat().st_size > 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -67,6 +68,17 @@ def test_candidates_lie_in_the_band_and_none_is_missed(result):
     assert distances == sorted(distances)
     c = view.candidates[5]
     assert np.allclose(result.features[c.operator][1].keypoints[c.row], c.x2)
+
+
+def test_keypoints_outside_the_field_of_the_lens_are_no_candidates(result):
+    view = result.two_view
+    d = np.array([-3.0, 0, 0, 0, 0])  # folds back within the image
+    folded = replace(view, camera2=replace(view.camera2, distortion=d))
+    explorer = EpipolarExplorer(replace(result, two_view=folded))
+    found = explorer.look((800.0, 600.0)).candidates
+    reach = np.linalg.norm([np.subtract(c.x2, view.camera2.K[:2, 2]) for c in found], axis=1)
+    assert len(found)
+    assert reach.max() < view.camera2.K[0, 0] * 2 / 9  # r (1 - 3 r^2) has its maximum at r = 1/3
 
 
 def test_an_inlier_is_found_from_its_own_pixel_with_its_point(result):

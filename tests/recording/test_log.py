@@ -381,6 +381,23 @@ def test_distortion_is_taken_out_so_that_the_cloud_projects_onto_the_pixels(tmp_
     assert np.abs(x1.numpy() - straight).max() > 3
 
 
+def test_pixels_outside_the_field_of_the_lens_are_moved_to_its_border():
+    """k1 = -0.27 at a focal length of 150 pixels: the image folds back 111 pixels from its centre,
+    where the undistorted radius is 150 / sqrt(0.81) = 166.7 pixels."""
+    K = np.array([[150.0, 0, 159.5], [0, 150.0, 119.5], [0, 0, 1]])
+    camera = Camera(K, (320, 240), np.array([-0.27, 0, 0, 0, 0]))
+    far = np.array([[0.0, 0.0], [319.0, 119.5], [159.5, 0.0]])
+    ideal = recordings.marks.ideal_pixels(far, camera)
+    out, there = far - K[:2, 2], ideal - K[:2, 2]
+    np.testing.assert_allclose(np.linalg.norm(there, axis=1), 150 / 0.81**0.5, rtol=1e-2)
+    np.testing.assert_allclose(out[:, 0] * there[:, 1], out[:, 1] * there[:, 0], atol=1e-6)
+    near = np.array([[170.0, 100.0]])
+    np.testing.assert_array_equal(
+        recordings.marks.ideal_pixels(np.concatenate([near, far]), camera)[:1],
+        recordings.marks.ideal_pixels(near, camera),
+    )
+
+
 def test_a_plane_shows_the_warped_outline(tmp_path):
     H = torch.tensor([[1.0, 0, 10], [0, 1, -5], [0, 0, 1]], dtype=torch.float64)
     recording = saved(
