@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import OutputError
 from .staging import remove_stale, staged_name
 
-__all__ = ["atomic_write", "check_free", "staged_folder"]
+__all__ = ["atomic_write", "check_file", "check_folder", "check_free", "staged_folder"]
 
 _LEAST_SPACE = 8 << 20  # bytes; the pictures and the recording of a small pair take 2 to 5 MB
 
@@ -102,7 +102,41 @@ def check_free(path: Path, overwrite: bool) -> None:
     path = Path(os.path.abspath(path))
     _check_name(path)
     _check_taken(path, overwrite)
-    parent = next(p for p in path.parents if os.path.lexists(p))
+    _check_room(path, next(p for p in path.parents if os.path.lexists(p)))
+
+
+def check_folder(path: str | os.PathLike) -> None:
+    """Check before the work that files can be added to a folder, which need not exist yet.
+
+    Raises:
+        OutputError: `path` is a file; it cannot be written; its name is too long; or the disk is
+            full. See :func:`check_free`.
+    """
+    path = Path(os.path.abspath(path))
+    _check_name(path)
+    if os.path.lexists(path) and not path.is_dir():
+        raise OutputError(f"{path} is a file; choose a folder to write to")
+    _check_room(path, next(p for p in (path, *path.parents) if os.path.lexists(p)))
+
+
+def check_file(path: str | os.PathLike) -> None:
+    """Check before the work that :func:`atomic_write` can write a file.
+
+    Raises:
+        OutputError: its folder does not exist or cannot be written, `path` is a folder, its name is
+            too long, or the disk is full.
+    """
+    path = Path(os.path.abspath(path))
+    _check_name(path)
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; name a file to write")
+    if not os.path.lexists(path.parent):
+        raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
+    _check_room(path, path.parent)
+
+
+def _check_room(path: Path, parent: Path) -> None:
+    """Check that a file or folder can be made in `parent`, which holds what `path` is part of."""
     if not parent.is_dir():
         raise OutputError(f"{path} cannot be written: {parent} is not a folder")
     trial = staged_name(parent / "trial")

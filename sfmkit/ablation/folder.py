@@ -19,7 +19,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from .._utils.writing import atomic_write
+from .._utils.writing import atomic_write, check_folder
 from ..errors import InputError, OutputError
 from .lock import locked
 from .plan import Plan
@@ -35,8 +35,7 @@ class SweepFolder:
 
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
-        if self.path.exists() and not self.path.is_dir():
-            raise OutputError(f"{self.path} is a file; choose a folder with --out")
+        check_folder(self.path)
         try:
             self.shards.mkdir(parents=True, exist_ok=True)
         except OSError as error:

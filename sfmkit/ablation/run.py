@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from ..datasets import Pair
 from ..errors import InputError, OutputError
 from .cache import DEFAULT_LIMIT, Cache, cache_folder
@@ -153,6 +154,7 @@ def ablate(
     watch: Watcher = progress or (lambda _: None)
     watch(SweepState("plan", what="loading"))
     store = Cache(Path(cache) if cache is not None else cache_folder(), cache_limit)
+    check_folder(store.folder)
     folder = SweepFolder(out)
     with folder.locked():
         plan = make_plan(

@@ -13,6 +13,7 @@ import pooch
 import requests
 
 from .._utils.progress import Progress
+from .._utils.writing import check_folder as check_writable
 from .._utils.writing import staged_folder
 from ..errors import InputError
 from .archives import unpack
@@ -45,6 +46,7 @@ def fetch(
     """
     pooch.get_logger().setLevel("WARNING")
     root = (download_folder() if data is None else Path(data)) / spec.name
+    check_writable(root)
     store = root.with_name(f".{spec.name}.download")
     for item in spec.downloads:
         if _present(spec, item, root):

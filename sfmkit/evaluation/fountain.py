@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.strecha import strecha
@@ -92,6 +93,7 @@ def bench_fountain(
         InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with
             other settings.
     """
+    check_folder(out)
     operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     if not operators:
         raise InputError("name at least one operator")

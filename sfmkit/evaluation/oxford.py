@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
@@ -80,6 +81,7 @@ def bench_oxford(
         InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other
             settings.
     """
+    check_folder(out)
     operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     if not operators:
         raise InputError("name at least one operator")

@@ -19,6 +19,7 @@ import numpy as np
 
 from .._utils.notices import collected
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets import Pair, find_source
 from ..datasets.pair import HOMOGRAPHY
@@ -92,6 +93,7 @@ def bench_pairs(
         InputError: Data, operators, matchers or an estimator that are unknown or cannot be read, no
             seeds, or rows in `out` that come from other settings.
     """
+    check_folder(out)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
     if preset not in PRESETS:

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.uav import uav
@@ -142,6 +143,7 @@ def bench_uav(
         InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with
             other settings.
     """
+    check_folder(out)
     operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     for name in presets:
         if name not in PRESETS:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from .._utils.writing import atomic_write
+from .._utils.writing import atomic_write, check_file
 from ..errors import InputError
 from . import page
 from .result import FILE, Result, ResultTable, read_result
@@ -53,8 +53,9 @@ def write_report(folder: str | os.PathLike, out: str | os.PathLike | None = None
         OutputError: the file cannot be written.
     """
     folders = find_results(folder)
-    results = [read_result(f) for f in folders]
     path = Path(folder) / PAGE if out is None else Path(out)
+    check_file(path)
+    results = [read_result(f) for f in folders]
     text = page.page(
         "sfmkit: the paper's experiments",
         _INTRO,

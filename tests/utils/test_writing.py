@@ -12,7 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from sfmkit._utils.writing import atomic_write, check_free, staged_folder
+from sfmkit._utils.writing import (
+    atomic_write,
+    check_file,
+    check_folder,
+    check_free,
+    staged_folder,
+)
 from sfmkit.errors import OutputError
 
 
@@ -277,6 +283,19 @@ def test_the_check_before_the_work(tmp_path, monkeypatch):
         if bad.parts[1] != "proc" or Path("/proc").is_dir():
             with pytest.raises(OutputError, match=reason):
                 check_free(bad, overwrite=True)
+            with pytest.raises(OutputError, match=reason):
+                check_folder(bad)
+    check_folder(tmp_path)
+    check_folder(tmp_path / "a" / "b")
+    check_file(tmp_path / "file")  # would be replaced
+    check_file(tmp_path / "new")
+    for bad, reason in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "a" / "b", "there is no folder"),
+        (tmp_path / "file" / "b", "is not a folder"),
+    ):
+        with pytest.raises(OutputError, match=reason):
+            check_file(bad)
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
     with pytest.raises(OutputError, match=r"1\.0 MiB are left"):

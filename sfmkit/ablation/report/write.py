@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..._utils.progress import Progress, silent
-from ..._utils.writing import staged_folder
+from ..._utils.writing import check_free, staged_folder
 from ...errors import InputError
 from ...reports.latex import latex_table
 from ...reports.result import Result, ResultFigure, ResultTable, write_result
@@ -73,6 +73,7 @@ def write_report(sweep: str | os.PathLike, say: Progress = silent) -> Report:
     say("read", str(sweep))
     table = read_table(sweep)
     folder = Path(sweep) if Path(sweep).is_dir() else Path(sweep).parent
+    check_free(folder / FOLDER, overwrite=True)
     ablation = score(table)
     findings = []
     for block in ablation.blocks:
