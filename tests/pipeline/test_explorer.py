@@ -70,7 +70,7 @@ def test_candidates_lie_in_the_band_and_none_is_missed(result):
     assert np.allclose(result.features[c.operator][1].keypoints[c.row], c.x2)
 
 
-def test_keypoints_outside_the_field_of_the_lens_are_no_candidates(result):
+def test_keypoints_outside_the_field_of_the_lens_are_not_candidates(result):
     view = result.two_view
     d = np.array([-3.0, 0, 0, 0, 0])  # folds back within the image
     folded = replace(view, camera2=replace(view.camera2, distortion=d))
