@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("sfmkit", "tests", "benchmarks", "docs", "notebooks", ".ci")
-SUFFIXES = {".py", ".md", ".ipynb", ".json", ".toml", ".yaml", ""}
+SUFFIXES = {".py", ".js", ".md", ".ipynb", ".json", ".toml", ".yaml", ""}
 
 _THING = "core|cell|image|pair|operator|match|stage|scene|sequence|worker|keypoint|photograph"
 

@@ -18,6 +18,7 @@ class HomographyOrDepth(Explorable):
     """
 
     title: ClassVar[str] = "Homography or depth?"
+    height: ClassVar[int] = 900
     _esm = bundle("homography_or_depth")
 
     def __init__(self) -> None:

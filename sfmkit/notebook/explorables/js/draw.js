@@ -48,18 +48,19 @@ export const ring = (x, r, colour, name) => [
   circle(x, r, { fill: "none", stroke: colour, "stroke-width": 2.5, class: name }),
 ];
 
-// A picture with an overlay whose user units are the photograph's pixels. `pressed` gets the
-// pixel of every click and drag and the event.
+// A picture with an overlay whose user units are the photograph's pixels, and a canvas of as many
+// pixels below it. `pressed` gets the pixel of every click and drag and the event.
 export function photograph({ size: [w, h], href }, title, pressed) {
   const surface = svg("svg", { viewBox: `-0.5 -0.5 ${w} ${h}`, class: "photograph" });
-  const backdrop = svg("rect", { x: -0.5, y: -0.5, width: w, height: h, fill: "#F4F4F4" });
+  const canvas = html("canvas", { width: w, height: h });
   const picture = svg("image", { x: -0.5, y: -0.5, width: w, height: h, preserveAspectRatio: "none" });
   if (href) picture.setAttribute("href", href);
   const overlay = svg("g");
-  surface.append(backdrop, picture, overlay);
+  surface.append(picture, overlay);
   if (pressed) dragging(surface, (event, from) => pressed(pixelOf(surface, event), event, from));
   const caption = html("figcaption", {}, title);
-  return { figure: html("figure", {}, caption, surface), surface, picture, overlay, caption };
+  const box = html("div", { class: "stack" }, canvas, surface);
+  return { figure: html("figure", {}, caption, box), canvas, surface, picture, overlay, caption };
 }
 
 export function pixelOf(surface, event) {

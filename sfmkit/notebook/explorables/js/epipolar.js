@@ -25,11 +25,14 @@ function nullVector(A) {
 // Both epipoles, homogeneous pixels: F e1 = 0 and F^T e2 = 0.
 export const epipoles = (F) => [nullVector(F), nullVector(transpose(F))];
 
-// The signed Sampson distance of a match, pixels.
-export function sampson(F, x1, x2) {
-  const [a, b] = [homogeneous(x1), homogeneous(x2)];
-  const [l2, l1] = [apply(F, a), apply(transpose(F), b)];
-  return dot(b, l2) / Math.sqrt(l1[0] ** 2 + l1[1] ** 2 + l2[0] ** 2 + l2[1] ** 2);
+// The signed Sampson distance of a match, pixels. Without arrays, because it is the inner loop.
+export function sampson([f, g, h], [x, y], [u, v]) {
+  const a = f[0] * x + f[1] * y + f[2];
+  const b = g[0] * x + g[1] * y + g[2];
+  const c = h[0] * x + h[1] * y + h[2];
+  const d = f[0] * u + g[0] * v + h[0];
+  const e = f[1] * u + g[1] * v + h[1];
+  return (u * a + v * b + c) / Math.sqrt(a * a + b * b + d * d + e * e);
 }
 
 // The two points where a line enters and leaves an image of w x h pixels; null if it misses it.

@@ -8,8 +8,9 @@ const [WIDTH, HEIGHT] = [640, 340];
 export function sceneView(orbit, target, distance, turned) {
   const canvas = html("canvas", { width: 2 * WIDTH, height: 2 * HEIGHT });
   const surface = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "scene" });
-  const box = html("div", { class: "stack" }, canvas, surface);
+  const box = html("div", { class: "stack white" }, canvas, surface);
   let last = null;
+  let stale = true;
   dragging(surface, (event, first) => {
     if (event === first) {
       last = [event.clientX, event.clientY];
@@ -18,21 +19,25 @@ export function sceneView(orbit, target, distance, turned) {
     orbit.yaw += 0.4 * (event.clientX - last[0]);
     orbit.pitch = Math.max(-5, Math.min(89, orbit.pitch + 0.4 * (event.clientY - last[1])));
     last = [event.clientX, event.clientY];
+    look();
+    stale = true;
     turned(event);
   });
 
-  function axes() {
+  let axes = null; // of the eye; changed by `look`
+  function look() {
     const [yaw, pitch] = [orbit.yaw, orbit.pitch].map((v) => (v * Math.PI) / 180);
     const forward = [
       Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch),
     ]; // y points down
     const right = unit(cross([0, 1, 0], forward));
-    return [right, cross(forward, right), forward];
+    axes = [right, cross(forward, right), forward];
   }
+  look();
 
   // Screen position and depth of a point; null behind the eye.
   function place(X) {
-    const [x, y, z] = apply(axes(), minus(X, target));
+    const [x, y, z] = apply(axes, minus(X, target));
     const depth = z + distance;
     if (depth < 0.02 * distance) return null;
     const s = (1.3 * HEIGHT) / depth;
@@ -47,7 +52,7 @@ export function sceneView(orbit, target, distance, turned) {
 
   // The point of the screen position on the plane with y = height.
   function onGround([u, v], height) {
-    const [right, down, forward] = axes();
+    const [right, down, forward] = axes;
     const s = 1.3 * HEIGHT;
     const ray = plus(
       plus(times(right, (u - WIDTH / 2) / s), times(down, (v - HEIGHT / 2) / s)), forward,
@@ -57,7 +62,10 @@ export function sceneView(orbit, target, distance, turned) {
     return depth > 0 ? plus(eye, times(ray, depth)) : null;
   }
 
+  // Draw the points, if the eye has moved since they were drawn.
   function dots(list, colours) {
+    if (!stale) return;
+    stale = false;
     const context = canvas.getContext("2d");
     context.clearRect(0, 0, canvas.width, canvas.height);
     list.forEach((X, k) => {

@@ -41,9 +41,7 @@ function render({ model, el }) {
   };
   const left = photograph(images[0], "image 1: click or drag", press(1));
   const right = photograph(images[1], "image 2: click or drag", press(2));
-  const dots = svg("g");
-  right.surface.insertBefore(dots, right.overlay);
-  const scene = sceneView(state.orbit, [0, 0, 0.45 * depth], 1.3 * depth, (event) => refresh(event));
+  const scene = sceneView(state.orbit, [0, -0.07 * depth, 0.45 * depth], 1.25 * depth, (event) => refresh(event));
   const solid = svg("g");
   const handle = svg("g", { class: "handle" }); // stays in the document while it is dragged
   scene.surface.append(solid, handle);
@@ -97,8 +95,18 @@ function render({ model, el }) {
     changed(event);
   });
 
-  // Everything that follows from the state.
+  // Everything that follows from the motion; it is kept while only the pixel changes.
+  let kept = { key: null };
   function geometry() {
+    const key = JSON.stringify([state.angles, state.t, state.f, state.shown]);
+    if (kept.key !== key) {
+      kept = { key, ...newGeometry() };
+      drawPoints(kept.seen);
+    }
+    return kept;
+  }
+
+  function newGeometry() {
     const R = rotationOf(state.angles);
     const { t } = state;
     const K2 = data.K2.map((row, i) => (i < 2 ? row.map((v, j) => (j < 2 ? v * state.f : v)) : row));
@@ -110,7 +118,9 @@ function render({ model, el }) {
         const Y = pointInCamera(R, t, X);
         return Y[2] > 0.01 * depth ? project(K2, Y) : null;
       });
-    return { R, t, K2, moved, F, seen };
+    const residuals = moved ? matches.flatMap((m, n) =>
+      (seen[n] === null ? [] : [Math.abs(sampson(F, m, seen[n]))])) : [];
+    return { R, t, K2, moved, F, seen, residuals };
   }
 
   function nearestMatch(seen) {
@@ -172,10 +182,18 @@ function render({ model, el }) {
     right.picture.style.display = photographs ? "" : "none";
     right.caption.textContent = photographs
       ? "image 2: click or drag" : "image 2, the cloud as camera 2 sees it: click or drag";
-    dots.replaceChildren(...(photographs ? [] : g.seen.flatMap((x, n) =>
-      x === null ? [] : [svg("rect", {
-        x: (x[0] - 3).toFixed(1), y: (x[1] - 3).toFixed(1), width: 6, height: 6, fill: colours[n],
-      })])));
+  }
+
+  // The cloud as camera 2 sees it.
+  function drawPoints(seen) {
+    const context = right.canvas.getContext("2d");
+    context.clearRect(0, 0, right.canvas.width, right.canvas.height);
+    if (state.shown === "photograph") return;
+    seen.forEach((x, n) => {
+      if (x === null) return;
+      context.fillStyle = colours[n];
+      context.fillRect(x[0] - 2.5, x[1] - 2.5, 6, 6); // pixel centres are at integers
+    });
   }
 
   const label = (x, words_, w) => text(x, words_, {
@@ -256,17 +274,14 @@ function render({ model, el }) {
       judge.textContent = "";
       return;
     }
-    const [e1, e2] = epipoles(g.F).map(inhomogeneous).map((p) => p.map((v) =>
-      (Math.abs(v) < 1e5 ? v.toFixed(0) : v > 0 ? "∞" : "-∞")).join(", "));
+    const [e1, e2] = epipoles(g.F).map(inhomogeneous).map((p) => (Math.hypot(...p) < 1e6
+      ? `at (${p.map((v) => v.toFixed(0)).join(", ")}) px` : "at infinity"));
     const l2 = x1 && lineOf(g.F, x1);
     state.distance = k === null ? null : distanceToLine(l2, x2);
-    words.textContent = `epipole 1 at (${e1}), epipole 2 at (${e2}) px. `
+    words.textContent = `epipole 1 ${e1}, epipole 2 ${e2}. `
       + (k === null ? "No match near the pixel." : `The match is ${state.distance.toFixed(2)} px `
         + "from its epipolar line in image 2.");
-    const residuals = [];
-    matches.forEach((m, n) => {
-      if (g.seen[n] !== null) residuals.push(Math.abs(sampson(g.F, m.slice(0, 2), g.seen[n])));
-    });
+    const { residuals } = g;
     state.median = median(residuals);
     const share = residuals.filter((v) => v <= 2).length / residuals.length;
     judge.textContent = `${(100 * share).toFixed(0)} % of ${residuals.length} matches lie within 2 px `
