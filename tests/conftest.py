@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +47,12 @@ def demo_fundamental() -> np.ndarray:
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     inverse = np.linalg.inv(K)
     return inverse.T @ cross @ R @ inverse
+
+
+def pytest_configure() -> None:
+    """Undo an ignored SIGHUP (nohup), which the commands under test would inherit and respect."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
