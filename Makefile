@@ -29,7 +29,7 @@ demo: $(READY)
 
 # One process per core (at most four) and one thread per process: more threads than cores make both slower.
 # A file is run by one process. `make test TESTS=-n0` runs all tests in one process.
-TESTS ?= -n logical --maxprocesses 4 --dist loadfile
+TESTS ?= -n logical --maxprocesses 4 --dist loadfile --durations 25
 
 test: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS)

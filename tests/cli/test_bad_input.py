@@ -337,7 +337,7 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
         assert line, "the command ended before it was interrupted"
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=240)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ psutil = pytest.importorskip("psutil")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 SIGNALS = ["SIGTERM", "SIGHUP", "SIGINT", "SIGKILL"]
-WAIT_S = 60.0  # for a busy machine; the tests go on as soon as what they wait for is there
+WAIT_S = 240.0  # for a busy machine; the tests go on as soon as what they wait for is there
 
 TETHER = """
 import subprocess, sys, time

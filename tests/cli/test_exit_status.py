@@ -170,7 +170,7 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess:
         ["sh", "-c", command],
         env={**os.environ, **environment},
         capture_output=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
 

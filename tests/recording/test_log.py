@@ -513,7 +513,7 @@ def test_a_viewer_that_is_closed_meanwhile_does_not_stop_the_logging():
     )
     rec = rr.RecordingStream("sfmkit", recording_id="live", send_properties=False)
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while not listens(port) and time.monotonic() < deadline:
             time.sleep(0.05)
         rec.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
