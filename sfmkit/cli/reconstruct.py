@@ -93,6 +93,12 @@ def given(**values: Any) -> dict[str, Any]:
 @click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--colmap", is_flag=True, help="Also write a COLMAP text model.")
 @click.option(
+    "--pictures/--no-pictures",
+    default=True,
+    show_default=True,
+    help="Write matches.png and cloud.png.",
+)
+@click.option(
     "--rrd/--no-rrd",
     default=True,
     show_default=True,
@@ -118,6 +124,7 @@ def reconstruct(
     out: Path,
     overwrite: bool,
     colmap: bool,
+    pictures: bool,
     rrd: bool,
     quiet: bool,
     as_json: bool,
@@ -161,7 +168,9 @@ def reconstruct(
             progress=say,
         )
         say("write", str(out))
-        report = write_outputs(result, out, overwrite=overwrite, colmap=colmap, recording=rrd)
+        report = write_outputs(
+            result, out, overwrite=overwrite, colmap=colmap, recording=rrd, pictures=pictures
+        )
     if as_json:
         import json
 

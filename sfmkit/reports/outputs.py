@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,9 @@ def write_outputs(
     """
     began = time.perf_counter()
     report: dict = {}
-    with staged_folder(Path(folder), overwrite=overwrite) as staged:
+    with staged_folder(Path(folder), overwrite=overwrite) as staged, ThreadPoolExecutor(1) as other:
+        # The recording takes as long as everything else, and is written at the same time.
+        recorded = other.submit(_record, staged, result) if recording else None
         np.savez(staged / "matches.npz", **match_arrays(result))  # type: ignore[arg-type]
         if result.cloud is not None:
             write_ply(staged / "cloud.ply", result.cloud)
@@ -60,16 +63,20 @@ def write_outputs(
             save(match_picture(result), staged / "matches.png")
             if result.cloud is not None and len(result.cloud):
                 save(cloud_picture(result.cloud), staged / "cloud.png")
-        if recording:
-            from ..recording.log import save_recording
-
-            save_recording(staged / "recording.rrd", result)
+        if recorded is not None:
+            recorded.result()
         report = make_report(result)
         seconds = time.perf_counter() - began
         report["timings_s"]["write"] = round(seconds, 4)
         report["timings_s"]["total"] = round(report["timings_s"]["total"] + seconds, 4)
         (staged / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     return report
+
+
+def _record(folder: Path, result: Reconstruction) -> None:
+    from ..recording.log import save_recording
+
+    save_recording(folder / "recording.rrd", result)
 
 
 def match_arrays(result: Reconstruction) -> dict[str, np.ndarray]:
