@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
-from made_up_result import RESULT
+from made_up_result import make_result
 
 from sfmkit.errors import OutputError
 from sfmkit.recording import read_recording
 from sfmkit.reports import outputs, write_outputs
 
+RESULT = make_result(points=20, outliers=5, lonely=3)
 ALWAYS = {"report.json", "matches.npz", "cloud.ply"}
 
 
