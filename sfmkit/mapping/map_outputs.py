@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ import numpy as np
 import PIL.Image
 
 from .._utils.writing import staged_folder
+from ..ablation.memory import PeakMemory
 from ..io.colmap.cameras import ColmapCamera
 from ..io.images import read_image
 from ..io.ply import write_ply
@@ -149,10 +149,11 @@ def write_map(
         OutputError: The folder exists and `overwrite` is not set, or cannot be written.
     """
     with staged_folder(out, overwrite) as staged:
-        mapped = map_matched(matched, staged / DATABASE, options, say)
+        with PeakMemory() as memory:
+            mapped = map_matched(matched, staged / DATABASE, options, say)
         say("writing")
         pairs = write_pair_files(matched, staged)
-        report = _report(mapped, pairs, dict(seconds or {}))
+        report = _report(mapped, pairs, dict(seconds or {}), memory.mb)
         if mapped.model is not None and mapped.points is not None:
             _write_model(mapped, staged, out)
         (staged / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
@@ -198,7 +199,9 @@ def _save_picture(cloud: PointCloud, views: list[MapView], path: Path) -> None:
     save(map_picture(cloud, centres, first.R, first.t), path)
 
 
-def _report(mapped: Mapped, pairs: dict[str, Any], seconds: dict[str, float]) -> dict[str, Any]:
+def _report(
+    mapped: Mapped, pairs: dict[str, Any], seconds: dict[str, float], peak_mb: float
+) -> dict[str, Any]:
     plan = mapped.matched.plan
     report: dict[str, Any] = {
         "schema_version": 1,
@@ -207,8 +210,7 @@ def _report(mapped: Mapped, pairs: dict[str, Any], seconds: dict[str, float]) ->
         "operators": {},
         "photographs": [],
         "seconds": {k: round(v, 3) for k, v in (seconds | dict(mapped.seconds)).items()},
-        # of this process, which maps; workers are not included
-        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
+        "peak_memory_mb": round(peak_mb),  # of the mapping; workers are not included
         "pairs": pairs,
     }
     turned = [p.name for p in plan.collection.photographs if p.header.orientation != 1]

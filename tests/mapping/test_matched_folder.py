@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from photograph_folder import SIZE, K, scene
 from small_sweep import InlineEngine
 
+from sfmkit.ablation import worker
 from sfmkit.ablation.engines import LocalEngine
 from sfmkit.cli import main
 from sfmkit.errors import InputError
@@ -188,3 +189,30 @@ def test_photographs_of_one_place_are_the_most_similar(folder, tmp_path, data_di
     np.fill_diagonal(similarity, -1)
     assert all(k % 2 == int(similarity[k].argmax()) % 2 for k in range(len(found)))
     assert len(read_collection(folder)) == 3
+
+
+def test_an_interrupted_run_resumes_with_what_is_missing(folder, tmp_path, monkeypatch):
+    worker._kept.clear()  # what the tests before have in memory
+    engines = []
+
+    def engine(*arguments):
+        engines.append(InlineEngine(*arguments))
+        return engines[-1]
+
+    monkeypatch.setattr("sfmkit.mapping.matched_folder.LocalEngine", engine)
+
+    def stop_after_the_first_pair(state):
+        if state.stage == "pairs" and state.done:
+            raise KeyboardInterrupt
+
+    common = {"intrinsics": K, "operators": ("orb",)}
+    cache = tmp_path / "cache"
+    workshop = Workshop.of(cache, workers=1, progress=stop_after_the_first_pair)
+    with pytest.raises(KeyboardInterrupt):
+        match_folder(folder, **common, workshop=workshop)
+    found = match_folder(folder, **common, workshop=Workshop.of(cache, workers=1))
+    before, after = ([t.key for t, _ in e.done] for e in engines)
+    assert len(found) == 3
+    assert before
+    assert not set(before) & set(after)
+    assert len(before) + len(after) == 3 + 3  # detections and pairs
