@@ -11,14 +11,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from .._utils.parallel import process_pool
 from .._utils.progress import Progress
 from .._utils.writing import check_folder
 from .._version import __version__
@@ -107,16 +107,11 @@ def bench_oxford(
             done += 1
             _keep(store, rows, new, progress, done, len(pairs), pair)
     else:
-        # Spawned, not forked: torch's threads do not survive a fork.
-        with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_one_thread) as pool:
+        with process_pool(workers) as pool:
             jobs = {pool.submit(evaluate_pair, pair, operators, seeds): pair for pair in missing}
-            try:
-                for job in as_completed(jobs):
-                    done += 1
-                    _keep(store, rows, job.result(), progress, done, len(pairs), jobs[job])
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+            for job in as_completed(jobs):
+                done += 1
+                _keep(store, rows, job.result(), progress, done, len(pairs), jobs[job])
     wanted = {(pair.sequence, pair.name) for pair in pairs}
     return [row for row in rows if (row["sequence"], row["pair"]) in wanted]
 
@@ -134,13 +129,6 @@ def _keep(
     rows += new
     if progress is not None:
         progress("oxford", f"{pair.sequence} {pair.name}", fraction=done / total)
-
-
-def _one_thread() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
 
 
 @lru_cache(maxsize=8)

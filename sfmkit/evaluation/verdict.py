@@ -10,15 +10,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 
-import cv2
 import torch
 
 from .._utils.notices import collected
+from .._utils.parallel import process_pool
 from .._utils.progress import Progress
 from .._version import __version__
 from ..errors import InputError
@@ -103,21 +102,11 @@ def _evaluated(
             done += len(part)
             yield done, _evaluate_part(part, operators)
         return
-    # Spawned, not forked: torch's threads do not survive a fork.
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_one_thread) as pool:
+    with process_pool(workers) as pool:
         jobs = {pool.submit(_evaluate_part, part, operators): len(part) for part in parts}
-        try:
-            for job in as_completed(jobs):
-                done += jobs[job]
-                yield done, job.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def _one_thread() -> None:
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
+        for job in as_completed(jobs):
+            done += jobs[job]
+            yield done, job.result()
 
 
 def _evaluate_part(pairs: list[BenchPair], operators: tuple[str, ...]) -> list[Row]:

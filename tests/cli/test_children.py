@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import json
 import os
 import signal
 import subprocess
@@ -10,6 +11,8 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 psutil = pytest.importorskip("psutil")
@@ -132,6 +135,63 @@ def test_servers_are_local_and_end_with_the_command(what, name, tmp_path):
     number = signal.Signals[name]
     assert status == (-number if name == "SIGKILL" else 128 + number)
     assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """A folder with an Oxford sequence of noise, and a pair list."""
+    folder = tmp_path_factory.mktemp("pictures")
+    sequence = folder / "oxford" / "graf"
+    sequence.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for number in range(1, 7):
+        image = cv2.resize(rng.integers(0, 255, (300, 400), np.uint8), (1600, 1200))
+        cv2.imwrite(str(sequence / f"img{number}.png"), image)
+        np.savetxt(sequence / f"H1to{number}p", np.eye(3))
+    pairs = [{"image1": "img1.png", "image2": f"img{k}.png"} for k in range(2, 7)]
+    (sequence / "pairs.json").write_text(json.dumps(pairs))
+    return folder
+
+
+WORKING = {
+    "ablate": ["--data", "{0}/oxford/graf/pairs.json", "--operators", "surf,sift", "--cache", "c"],
+    "bench oxford": ["--data", "{0}", "--operators", "surf,sift"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("what", WORKING)
+def test_worker_processes_end_with_the_command(what, name, pictures, tmp_path):
+    words = [*what.split(), *(word.format(pictures) for word in WORKING[what])]
+    words += ["--workers", "2", "--out", "o"]
+    with (tmp_path / "log").open("w") as log:
+        parent = start(
+            [sys.executable, "-m", "sfmkit.cli", *words], stdout=log, stderr=log, cwd=tmp_path
+        )
+    try:
+        # two workers that have imported torch
+        assert until(lambda: sum(map(computes, family(parent.pid)[1:])) >= 2), (
+            tmp_path / "log"
+        ).read_text()
+        processes = family(parent.pid)
+        assert listening(processes) == set()
+        parent.send_signal(signal.Signals[name])
+        status = parent.wait(WAIT_S)
+        assert until(lambda: not any(map(runs, processes))), [p for p in processes if runs(p)]
+    finally:
+        for process in [p for p in processes if runs(p)]:
+            process.kill()
+    number = signal.Signals[name]
+    assert status == (-number if name == "SIGKILL" else 128 + number)
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+def computes(process: psutil.Process) -> bool:
+    try:
+        return process.memory_info().rss > 150 << 20
+    except psutil.NoSuchProcess:
+        return False
 
 
 WRITING = """
