@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from .._utils.writing import staged_folder
+from .._utils.writing import check_free, staged_folder
 from ..errors import InputError
 from .folder import read_sweep, write_sweep
 from .table import TABLE, AblationTable, read_table, write_table
@@ -40,6 +40,7 @@ def merge_shards(
         InputError: A shard is missing, unfinished, there twice, or of another sweep.
         OutputError: `out` exists and `overwrite` is not set, or cannot be written.
     """
+    check_free(Path(out), overwrite)
     found = _in_order([(Path(path), read_sweep(path)) for path in shards])
     first = found[0][1]
     for path, other in found[1:]:

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from .._utils.progress import Progress, silent
+from .._utils.writing import check_folder
 from ..ablation.entry import Entry
 from ..ablation.run import SweepState
 from ..datasets.middlebury import temple_ring
@@ -128,6 +129,7 @@ def bench_map(
         InputError: pycolmap is not installed, a scene is unknown or missing, or the folder holds
             rows of other settings.
     """
+    check_folder(out)
     pycolmap_module()
     unknown = [name for name in scenes if name not in SCENES]
     if unknown:

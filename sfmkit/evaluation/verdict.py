@@ -19,6 +19,7 @@ import torch
 from .._utils.notices import collected
 from .._utils.parallel import process_pool
 from .._utils.progress import Progress
+from .._utils.writing import check_folder
 from .._version import __version__
 from ..errors import InputError
 from ..estimation import run_estimator, undistorted_pixels, within_the_field
@@ -68,6 +69,7 @@ def bench_verdict(
         InputError: Data or an operator is missing, a peer is not installed, no group has such a
             name, or rows in `out` come from other settings.
     """
+    check_folder(out)
     operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
     settings = {"version": __version__, "operators": list(operators)}
     store = RowStore(Path(out) / "rows.jsonl", settings)

@@ -57,7 +57,8 @@ def run(words: tuple[str, ...], monkeypatch, work) -> tuple[int, str]:
     required = []
     for p in command.params:
         if p.required:
-            required += ["x"] if isinstance(p, click.Argument) else [p.opts[0], "x"]
+            value = __file__ if isinstance(p.type, click.Path) and p.type.exists else "x"
+            required += [value] if isinstance(p, click.Argument) else [p.opts[0], value]
     result = CliRunner().invoke(main, [*words, *required])
     return result.exit_code, result.stderr
 

@@ -35,7 +35,10 @@ WRITING = {
     "bench fountain": ["--data", "no-data"],
     "bench uav": ["--data", "no-data"],
     "bench pairs": ["--data", "no-pairs.json"],
+    "bench map": ["--data", "no-data"],
+    "bench verdict": ["--data", "no-data"],
     "ablate": ["--data", "no-pairs.json"],
+    "ablate merge": ["no-shard"],
     "report": ["results"],
 }
 COMMANDS = {name for name, c in commands().items() if any("--out" in p.opts for p in c.params)}

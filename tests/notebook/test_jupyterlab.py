@@ -263,9 +263,9 @@ def test_a_click_on_a_match_shows_its_point_and_ray(epipolar):
             break
         epipolar.click_image1((400.0 + 7 * k, 330.0 + 3 * k))
     assert page.locator("circle.match").count() == 2
-    assert page.locator("circle.point").count() == 1
+    assert page.locator("svg.sfmkit-map circle.point").count() == 1
     assert "its point lies at" in page.locator(".jp-OutputArea").nth(1).inner_text()
-    ray, point = page.locator("polyline.ray"), page.locator("circle.point")
+    ray, point = page.locator("polyline.ray"), page.locator("svg.sfmkit-map circle.point")
     (x0, y0), (x1, y1) = (
         [float(v) for v in p.split(",")] for p in ray.get_attribute("points").split()
     )
@@ -343,7 +343,7 @@ def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundle
         x0, y0, x1, y1 = found[0]
         return x1 - x0 > 200 and abs((x1 - x0) * h - (y1 - y0) * w) < 4 * w
 
-    assert wait_for(drawn, 120, 1), f"the viewer shows no photograph: {found}"
+    assert wait_for(drawn, 400, 1), f"the viewer shows no photograph: {found}"
     corner, scale = np.array(found[0][:2]), (found[0][2] - found[0][0]) / w
     seen: list[np.ndarray] = []
     before, _ = epipolar.explored()
