@@ -181,15 +181,21 @@ class Notebook:
         return np.array([float(mark.get_attribute(a)) for a in ("cx", "cy")]), ends
 
     def click_image1(self, x: tuple[float, float]) -> None:
-        before = self.page.locator("circle.pixel").get_attribute("cx")
+        def shown() -> tuple[str, str]:
+            line = self.page.locator("polyline.epipolar-line")
+            mark = self.page.locator("circle.pixel")
+            return mark.get_attribute("cx"), line.get_attribute("points")
+
+        before = shown()
 
         def answered() -> bool:
-            """Click; the click is repeated if the page was still scrolling."""
+            """Click; the click is repeated if the page was still scrolling.
+
+            The two photographs are updated by two messages.
+            """
             self.page.locator("svg.sfmkit-photograph").first.scroll_into_view_if_needed()
             self.page.mouse.click(*self.on_screen(0, np.array(x)))
-            return wait_for(
-                lambda: self.page.locator("circle.pixel").get_attribute("cx") != before, 15, 0.05
-            )
+            return wait_for(lambda: all(a != b for a, b in zip(shown(), before)), 15, 0.05)
 
         assert wait_for(answered, 60)
 

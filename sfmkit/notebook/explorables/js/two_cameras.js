@@ -245,7 +245,7 @@ function render({ model, el }) {
         stroke: "#FFFFFF", "stroke-width": 3,
       }));
     });
-    add([X], ([p]) => circle(p, 5, { fill: "#000000", stroke: "#FFFFFF", class: "point" }));
+    add([X], ([p]) => circle(p, 5, { fill: "#000000", stroke: "#FFFFFF", class: "chosen-point" }));
     const grip = scene.place(centres[1]);
     handle.replaceChildren(...(grip
       ? [circle(grip, 8, { fill: COLOURS.camera2, stroke: "#FFFFFF", "stroke-width": 2 })] : []));
