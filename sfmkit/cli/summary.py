@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import acos, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,10 +68,7 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
     facts = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     facts.add_row("verdict", f"{verdict['kind']}: {verdict['reason']}")
     if pose is not None:
-        from math import acos, degrees
-
-        trace = sum(pose["R"][i][i] for i in range(3))
-        line = f"rotation {degrees(acos(max(-1.0, min(1.0, (trace - 1) / 2)))):.3f} deg"
+        line = f"rotation {_angle(pose['R']):.3f} deg"
         if pose["t"] is not None:
             line += ", translation direction (" + ", ".join(f"{v:+.4f}" for v in pose["t"]) + ")"
         facts.add_row("pose", line)
@@ -83,6 +81,15 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             )
             for part, deg in pose["sigma_parts_deg"].items():
                 facts.add_row("", f"  {part}: {deg[0]:.4f}, {deg[1]:.4f} deg")
+        for other in pose["alternatives"]:
+            direction = ", ".join(f"{v:+.4f}" for v in other["t"])
+            facts.add_row("or", f"rotation {_angle(other['R']):.3f} deg, translation ({direction})")
+    held_out = {n: line["log10_chance"] for n, line in report["operators"].items()}
+    if any(tail is not None for tail in held_out.values()):
+        tails = [f"{n} 10^{tail:,.0f}" for n, tail in held_out.items() if tail is not None]
+        facts.add_row(
+            "operators", f"agree by chance with the pose of the others: {', '.join(tails)}"
+        )
     if "errors" in report:
         errors = report["errors"]
         shown = [
@@ -109,6 +116,12 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             files.add_row(str(folder / name), what)
     console.print()
     console.print(files)
+
+
+def _angle(R: list[list[float]]) -> float:
+    """The angle of a rotation matrix, degrees."""
+    trace = sum(R[i][i] for i in range(3))
+    return degrees(acos(max(-1.0, min(1.0, (trace - 1) / 2))))
 
 
 def print_matchers(rows: list[MatcherInfo]) -> None:

@@ -17,9 +17,10 @@ from torch import Tensor
 
 # A triangle whose height is below this many pixels may be turned over by noise alone.
 _HEIGHT_PX = 3.0
-# Correct pairs measured: 0 to 6 % reversed (Oxford, fountain, temple ring neighbours). Photographs
-# against their mirror images: 52 to 76 %. Matches of unrelated points: half.
-MOST_REVERSED = 0.35
+# Correct pairs measured: 0 to 6 % reversed by depth (Oxford, fountain, temple ring neighbours), and
+# 20 % for points of random depth without any surface. Photographs against their mirror images: 52
+# to 76 %. Matches of unrelated points: half.
+REVERSED_BY_DEPTH, MOST_REVERSED = 0.20, 0.35
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,12 @@ class Handedness:
     Attributes:
         kept: triangles with the same orientation in both images.
         reversed: triangles with opposite orientations.
+        limit: share of reversed triangles that a correct geometry can have.
     """
 
     kept: int
     reversed: int
+    limit: float = MOST_REVERSED
 
     @property
     def share_kept(self) -> float:
@@ -44,12 +47,12 @@ class Handedness:
     def inconsistent(self) -> bool:
         """Whether more triangles are reversed than any view of one scene reverses.
 
-        A one-sided test at 1 % against a share of :data:`MOST_REVERSED`. The triangles share their
-        points; half of them, about one per point, count as independent.
+        A one-sided test at 1 % against `limit`. The triangles share their points; half of them,
+        about one per point, count as independent.
         """
         count = self.kept + self.reversed
-        spread = math.sqrt(2 * count * MOST_REVERSED * (1 - MOST_REVERSED))
-        return self.reversed - MOST_REVERSED * count > 2.33 * spread
+        spread = math.sqrt(2 * count * self.limit * (1 - self.limit))
+        return self.reversed - self.limit * count > 2.33 * spread
 
     @property
     def mirrored(self) -> bool:
@@ -57,26 +60,36 @@ class Handedness:
         return self.inconsistent and self.share_kept < 0.5
 
 
-def handedness(x1: Tensor, x2: Tensor) -> Handedness:
+def reversed_limit(wrong: float) -> float:
+    """Compute the share of reversed triangles that a share of wrong inliers accounts for.
+
+    A triangle with a wrong corner is reversed with probability 1/2; depth reverses some more.
+    """
+    return min(MOST_REVERSED, REVERSED_BY_DEPTH + 0.5 * (1 - (1 - wrong) ** 3))
+
+
+def handedness(x1: Tensor, x2: Tensor, wrong: float = 1.0) -> Handedness:
     """Count the triangles of neighbouring matches that keep and that reverse their orientation.
 
     Args:
         x1, x2: (N, 2) pixels of the inliers. The triangles are those of the Delaunay triangulation
             of x1, without those that are flat in either image.
+        wrong: Expected share of inliers that agree by chance.
     """
+    limit = reversed_limit(wrong)
     a, b = (np.asarray(x.detach().cpu(), dtype=np.float64) for x in (x1, x2))
     _, first = np.unique(np.round(a, 3), axis=0, return_index=True)
     a, b = a[first], b[first]
     if len(a) < 4:
-        return Handedness(0, 0)
+        return Handedness(0, 0, limit)
     try:
         corners = Delaunay(a).simplices
     except QhullError:  # all on one line
-        return Handedness(0, 0)
+        return Handedness(0, 0, limit)
     area1, area2 = _signed_area(a[corners]), _signed_area(b[corners])
     clear = np.minimum(_height(a[corners], area1), _height(b[corners], area2)) > _HEIGHT_PX
     kept = int((area1[clear] * area2[clear] > 0).sum())
-    return Handedness(kept, int(clear.sum()) - kept)
+    return Handedness(kept, int(clear.sum()) - kept, limit)
 
 
 def _signed_area(triangles: np.ndarray) -> np.ndarray:

@@ -27,7 +27,8 @@ from ..options import PlanarOptions
 from ..types import Correspondences, FrozenMapping
 from . import opencv
 from ._problems import HomographyProblem
-from .verdict import MAX_LOG10_NFA, MIN_MATCHES, chance_agreement, log10_nfa
+from .chance import MAX_LOG10_NFA, chance_agreement, log10_nfa
+from .verdict import MIN_MATCHES
 
 _PREFIXES = (100, 300, 1000, 3000)  # matches, most distinctive first
 _SAMPLES = (24_000, 24_000, 8_000, 4_000)  # minimal samples on each of them

@@ -31,6 +31,7 @@ from ..types import Camera, Correspondences, TwoView, Verdict
 from . import opencv
 from .plugins import run_estimator
 from .result import RobustModel, supported
+from .scrutiny import scrutinise
 from .verdict import MIN_MATCHES, assess
 
 # Samples of the search for a competing plane. A plane that contains a quarter of the matches is
@@ -98,8 +99,9 @@ def estimate_two_view(
 
     Returns:
         A :class:`TwoView`. The verdict ``TOO_LITTLE``, without a pose, is returned for too few
-        matches, for matches that agree no better than chance, and for mirrored photographs; a
-        pure rotation has R but no t.
+        matches, for matches that agree no better than chance, for mirrored photographs and where
+        operators or halves of the image contradict each other; a pure rotation has R but no t. The
+        verdict ``AMBIGUOUS`` comes with the rival motion in ``alternatives``.
     """
     options = options or EstimateOptions()
     n = len(corr)
@@ -133,20 +135,42 @@ def estimate_two_view(
     found = assess(x1, x2, K1, K2, best.F, best.inliers, plane.model, options.threshold_px, seed)
     if found.verdict is Verdict.TOO_LITTLE:
         return _too_little(camera1, camera2, n, found.reason, found.evidence, fit)
+    doubts = scrutinise(
+        best.R,
+        best.t,
+        best.F,
+        best.inliers,
+        corr,
+        x1,
+        x2,
+        K1,
+        K2,
+        camera1.size_wh,
+        options.threshold_px,
+        seed,
+    )
+    evidence = found.evidence | doubts.evidence
+    witnesses = {name: witness.log10_p for name, witness in doubts.witnesses.items()}
+    if doubts.verdict is Verdict.TOO_LITTLE:
+        refused = _too_little(camera1, camera2, n, doubts.reason, evidence, fit)
+        return replace(refused, witnesses=witnesses)
+    rivals = ((doubts.rival.R, doubts.rival.t),) if doubts.verdict and doubts.rival else ()
+    verdict, reason = doubts.verdict or found.verdict, doubts.reason or found.reason
     if found.rotation is not None:
         return TwoView(
             camera1,
             camera2,
             plane.inliers,
-            found.verdict,
-            found.reason,
-            found.evidence,
+            verdict,
+            reason,
+            evidence,
             R=found.rotation,
             H=plane.model,
+            alternatives=rivals,
+            witnesses=witnesses,
             history=fit.history,
         )
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
-    reason = found.reason
     if found.verdict is Verdict.PLANAR and plane.model is not None:
         support = pose.inliers | plane.inliers
         (R, t), *others = planar_poses(
@@ -161,15 +185,16 @@ def estimate_two_view(
         camera1,
         camera2,
         pose.inliers & in_front,
-        found.verdict,
+        verdict,
         reason,
-        found.evidence | {"share_in_front": share},
+        evidence | {"share_in_front": share},
         R=pose.R,
         t=pose.t,
         E=pose.E,
         F=pose.F,
         H=plane.model,
-        alternatives=alternatives,
+        alternatives=(*alternatives, *rivals),
+        witnesses=witnesses,
         history=fit.history,
     )
 

@@ -13,7 +13,6 @@ space of both views, in pixels, so they are comparable.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -23,14 +22,13 @@ from ..geometry.coordinates import denormalize, normalize, to_homogeneous
 from ..geometry.fundamental import squared_sampson_distance
 from ..geometry.homography import squared_homography_sampson_distance
 from ..types import Verdict
+from .chance import MAX_LOG10_NFA, chance_agreement, log10_nfa
 from .handedness import Handedness, handedness
 
 MIN_MATCHES = 8
-MAX_LOG10_NFA = -6.0  # fewer than one model in a million by chance alone
 # Detectors localise to 0.1 px at best; without this least value the criterion would compare
 # rounding errors on exact synthetic data.
 MIN_SIGMA_PX = 0.1
-_CHANCE_TRIALS = 20_000  # wrong matches that the probability of chance agreement is measured on
 
 
 @dataclass(frozen=True)
@@ -95,59 +93,6 @@ def gric(squared: Tensor, sigma: float, dimension: int, parameters: int) -> floa
     return float(rho) + math.log(r) * dimension * n + math.log(r * n) * parameters
 
 
-def log10_nfa(inliers: int, matches: int, chance: float, sample: int, solutions: int) -> float:
-    """Compute log10 of the number of models with this many inliers to expect by chance.
-
-    Args:
-        chance: probability that a random match agrees with the model.
-        sample, solutions: size of a minimal sample and the number of models it gives.
-    """
-    if inliers <= sample:
-        return math.inf
-
-    def log_choose(n: int, k: int) -> float:
-        return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
-
-    return (
-        math.log(solutions * (matches - sample))
-        + log_choose(matches, inliers)
-        + log_choose(inliers, sample)
-        + (inliers - sample) * math.log(min(max(chance, 1e-12), 1.0))
-    ) / math.log(10)
-
-
-def chance_agreement(
-    squared: Callable[[Tensor, Tensor], Tensor],
-    x1: Tensor,
-    x2: Tensor,
-    threshold_px: float,
-    generator: torch.Generator,
-    trials: int = _CHANCE_TRIALS,
-) -> float:
-    """Measure the probability that a wrong match agrees with a model.
-
-    Every point gets the partner of another match, by cyclic shifts of the matches in random order:
-    a random permutation would leave one match with its own partner on average, which makes the
-    probability too large by 1/N. Keypoints cluster, so the probability is larger than the share of
-    the image that the epipolar band covers.
-
-    Args:
-        squared: (N, 2), (N, 2) -> (N,) squared residuals of the model, square pixels.
-        x1, x2: (N, 2) pixels, N at least 2.
-        threshold_px: Largest residual of an inlier, pixels.
-        generator: Of the order and the shifts.
-        trials: Wrong matches to try, about; all N (N - 1) of them where there are fewer.
-    """
-    n = len(x1)
-    rounds = min(max(1, trials // n), max(1, n - 1))
-    order = torch.randperm(n, generator=generator)
-    shifts = torch.randperm(max(1, n - 1), generator=generator)[:rounds] + 1
-    partner = order[(torch.arange(n) + shifts[:, None]) % n].to(x1.device)
-    point = order.to(x1.device).expand(rounds, n)
-    hits = int((squared(x1[point.flatten()], x2[partner.flatten()]) < threshold_px**2).sum())
-    return (hits + 1) / (rounds * n + 1)
-
-
 def assess(
     x1: Tensor,
     x2: Tensor,
@@ -179,7 +124,9 @@ def assess(
             "with any geometry by chance, and the best of many random ones does better than that."
         )
         return Assessment(Verdict.TOO_LITTLE, reason, evidence)
-    orientation = handedness(x1[inliers], x2[inliers])
+    chance = evidence["chance_agreement"]
+    by_chance = min(1.0, (n - k) * chance / ((1 - chance) * k)) if chance < 1 else 1.0
+    orientation = handedness(x1[inliers], x2[inliers], by_chance)
     evidence["orientation_kept"] = orientation.share_kept
     if orientation.inconsistent:
         return Assessment(Verdict.TOO_LITTLE, _orientation_reason(orientation), evidence)

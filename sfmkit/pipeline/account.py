@@ -30,6 +30,8 @@ class OperatorAccount:
         share_initial: `initial` over the number of all correspondences.
         share_points: `points` over the number of points of the cloud.
         loss: share of `initial` that did not become a point.
+        log10_chance: log10 of the probability that so many of its matches agree by chance with the
+            pose that the other operators determine; None where not computed.
     """
 
     keypoints: tuple[int, int]
@@ -41,6 +43,7 @@ class OperatorAccount:
     share_initial: float
     share_points: float
     loss: float
+    log10_chance: float | None = None
 
     def as_dict(self) -> dict:
         """Convert to plain data for JSON."""
@@ -79,7 +82,10 @@ def _share(part: int, whole: int) -> float:
 
 
 def make_account(
-    corr: Correspondences, inliers: Tensor, cloud: PointCloud | None
+    corr: Correspondences,
+    inliers: Tensor,
+    cloud: PointCloud | None,
+    witnesses: Mapping[str, float] | None = None,
 ) -> dict[str, OperatorAccount]:
     """Compute the statistics of every operator and, last, of all (``multi``).
 
@@ -87,11 +93,18 @@ def make_account(
         corr: N fused correspondences with their counts.
         inliers: (N,) bool.
         cloud: the points, None without a cloud.
+        witnesses: operator -> `log10_chance`.
     """
     n, m = len(corr), 0 if cloud is None else len(cloud)
 
     def line(
-        keypoints: tuple[int, int], matches: int, initial: int, kept: int, points: int, alone: int
+        keypoints: tuple[int, int],
+        matches: int,
+        initial: int,
+        kept: int,
+        points: int,
+        alone: int,
+        log10_chance: float | None = None,
     ):
         return OperatorAccount(
             keypoints,
@@ -103,6 +116,7 @@ def make_account(
             _share(initial, n),
             _share(points, m),
             1 - _share(points, initial) if initial else 0.0,
+            log10_chance,
         )
 
     account = {}
@@ -114,7 +128,13 @@ def make_account(
             alone = int((cloud.operator_mask == 1 << k).sum())
         c = corr.counts[name]
         account[name] = line(
-            c.keypoints, c.matches, int(mine.sum()), int((mine & inliers).sum()), points, alone
+            c.keypoints,
+            c.matches,
+            int(mine.sum()),
+            int((mine & inliers).sum()),
+            points,
+            alone,
+            (witnesses or {}).get(name),
         )
     counts = corr.counts.values()
     total = (sum(c.keypoints[0] for c in counts), sum(c.keypoints[1] for c in counts))

@@ -69,8 +69,8 @@ class Reconstruction:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is a geometry to rely on (any verdict but too little evidence)."""
-        return self.two_view.verdict is not Verdict.TOO_LITTLE
+        """Whether there is a geometry to rely on: neither too little evidence nor ambiguous."""
+        return self.two_view.verdict not in (Verdict.TOO_LITTLE, Verdict.AMBIGUOUS)
 
     @property
     def reprojection_rmse_px(self) -> float | None:
@@ -146,7 +146,7 @@ def reconstruct(
         correspondences=corr,
         two_view=two_view,
         cloud=cloud,
-        account=make_account(corr, two_view.inliers, cloud),
+        account=make_account(corr, two_view.inliers, cloud, two_view.witnesses),
         options=options,
         seed=seed,
         timings_s=dict(watch.seconds),

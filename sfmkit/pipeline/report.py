@@ -57,7 +57,7 @@ def make_report(result: Reconstruction) -> dict[str, Any]:
         "options": _numbers(as_plain(result.options)),
         "plugins": {kind: dict(used) for kind, used in result.plugins.items()},
         "seed": result.seed,
-        "operators": {name: line.as_dict() for name, line in result.account.items()},
+        "operators": {name: _numbers(line.as_dict()) for name, line in result.account.items()},
         "verdict": {
             "kind": view.verdict.value,
             "reason": view.reason,
@@ -70,6 +70,7 @@ def make_report(result: Reconstruction) -> dict[str, Any]:
             "t": None if view.t is None else _numbers(view.t),
             "sigma_deg": None if view.sigma_deg is None else _numbers(list(view.sigma_deg)),
             "sigma_parts_deg": {k: _numbers(list(v)) for k, v in view.sigma_parts_deg.items()},
+            "alternatives": [{"R": _numbers(R), "t": _numbers(t)} for R, t in view.alternatives],
         },
         "reprojection_rmse_px": _numbers(result.reprojection_rmse_px),
         "timings_s": {k: round(v, 4) for k, v in result.timings_s.items()},

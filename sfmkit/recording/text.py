@@ -11,6 +11,8 @@ from ..pipeline.account import ALL, HEAD, OperatorAccount, account_cells
 from .stream import STAGES
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from ..pipeline.reconstruction import Reconstruction
     from ..types import TwoView
 
@@ -51,7 +53,27 @@ def verdict_markdown(view: TwoView) -> str:
         )
         for name, value in view.evidence.items()
     ]
-    return f"## {view.verdict.value}\n\n{view.reason}\n\n{table(('evidence', ''), rows)}"
+    parts = [f"## {view.verdict.value}", view.reason, *_alternatives(view)]
+    parts.append(table(("evidence", ""), rows))
+    if view.witnesses:
+        tails = [(name, f"10^{tail:,.0f}") for name, tail in view.witnesses.items()]
+        head = ("operator, held out", "chance of its agreement with the others' pose")
+        parts.append(table(head, tails))
+    return "\n\n".join(parts)
+
+
+def _alternatives(view: TwoView) -> list[str]:
+    """Other motions that explain the matches, one sentence each."""
+    return [f"Another motion explains the matches: {_motion(R, t)}." for R, t in view.alternatives]
+
+
+def _motion(R: Tensor, t: Tensor | None) -> str:
+    angle = np.degrees(np.arccos(np.clip((np.trace(R.numpy()) - 1) / 2, -1, 1)))
+    text = f"rotation **{angle:.2f}°**"
+    if t is not None:
+        direction = ", ".join(f"{v:+.3f}" for v in t.tolist())
+        text += f", translation direction **({direction})**"
+    return text
 
 
 def report_markdown(result: Reconstruction) -> str:
@@ -59,17 +81,10 @@ def report_markdown(result: Reconstruction) -> str:
     view = result.two_view
     facts = [f"## {view.verdict.value}", view.reason]
     if view.R is not None:
-        angle = np.degrees(np.arccos(np.clip((np.trace(view.R.numpy()) - 1) / 2, -1, 1)))
-        pose = f"Rotation from camera 1 to camera 2 **{angle:.2f}°**"
-        if view.t is not None:
-            pose += (
-                ", translation direction **("
-                + ", ".join(f"{v:+.3f}" for v in view.t.tolist())
-                + ")**"
-            )
+        pose = f"From camera 1 to camera 2: {_motion(view.R, view.t)}"
         if view.sigma_deg is not None:
             pose += f"; standard deviations {view.sigma_deg[0]:.3f}° and {view.sigma_deg[1]:.3f}°"
-        facts.append(pose + ".")
+        facts += [pose + ".", *_alternatives(view)]
     if result.errors is not None:
         rotation, translation = (result.errors[k] for k in ("rotation_deg", "translation_deg"))
         facts.append(

@@ -16,11 +16,15 @@ from .frozen_mapping import FrozenMapping
 
 
 class Verdict(StrEnum):
-    """What the correspondences turned out to show."""
+    """What the correspondences turned out to show.
+
+    An ambiguous geometry has a pose, which is one of several that the matches support.
+    """
 
     GENERAL = "general"
     PLANAR = "planar"
     PURE_ROTATION = "pure rotation"
+    AMBIGUOUS = "ambiguous"
     TOO_LITTLE = "too little evidence"
 
 
@@ -50,7 +54,7 @@ class TwoView:
     Attributes:
         camera1, camera2: the cameras.
         inliers: (N,) bool over the correspondences.
-        verdict: general, planar, pure rotation or too little evidence.
+        verdict: general, planar, pure rotation, ambiguous or too little evidence.
         reason: the verdict in words.
         evidence: the numbers the verdict rests on.
         R: (3, 3) rotation, None without a trustworthy one.
@@ -65,7 +69,9 @@ class TwoView:
             ``cameras``) alone gives for `sigma_deg`; see
             :mod:`sfmkit.estimation.pose_uncertainty`. Empty where not computed.
         alternatives: other poses (R, t) that explain the matches as well: a plane seen twice
-            usually allows two.
+            usually allows two, and repeated texture allows copies.
+        witnesses: operator -> log10 of the probability that so many of its matches agree by chance
+            with the pose that the other operators determine; empty where not computed.
         history: how the robust search improved, oldest first; empty where the back end does not
             say. Its models are E, in normalised coordinates, or F, in pixels, whichever was
             estimated.
@@ -86,6 +92,7 @@ class TwoView:
     sigma_deg: tuple[float, float] | None = None
     sigma_parts_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     alternatives: tuple[tuple[Tensor, Tensor], ...] = ()
+    witnesses: Mapping[str, float] = field(default_factory=dict)
     history: tuple[Improvement, ...] = ()
 
     def __post_init__(self) -> None:
@@ -104,3 +111,4 @@ class TwoView:
             raise InputError("TwoView: a verdict of too little evidence comes without a pose")
         object.__setattr__(self, "evidence", FrozenMapping(self.evidence))
         object.__setattr__(self, "sigma_parts_deg", FrozenMapping(self.sigma_parts_deg))
+        object.__setattr__(self, "witnesses", FrozenMapping(self.witnesses))
