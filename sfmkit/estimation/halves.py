@@ -9,6 +9,7 @@ repeated texture or a single object suggests is rarely found in both halves.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 
 import torch
@@ -99,7 +100,7 @@ def cross_validate(
             F = fundamental_from_essential(found.model, K1, K2)
             a, b = x1[~half], x2[~half]
             chance = chance_agreement(
-                lambda p, q, F=F: squared_sampson_distance(F, p, q), a, b, threshold_px, generator
+                partial(squared_sampson_distance, F), a, b, threshold_px, generator
             )
             agree = int((squared_sampson_distance(F, a, b) < threshold_px**2).sum())
             tails.append(log10_tail(agree, len(a), chance))

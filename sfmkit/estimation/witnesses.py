@@ -2,13 +2,14 @@
 
 The matches of one operator are held out, the pose is refined on the inliers of the others, and the
 held-out matches that agree with it are compared with the number that chance gives. Their agreement
-is no part of the pose, so a binomial tail is exact up to the dependence of neighbouring matches.
+did not enter the pose, so a binomial tail is exact up to the dependence of neighbouring matches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -95,7 +96,7 @@ def operator_witnesses(
         F = fundamental_from_pose(Q, u, K1, K2)
         a, b = x1[mine], x2[mine]
         chance = chance_agreement(
-            lambda p, q, F=F: squared_sampson_distance(F, p, q),
+            partial(squared_sampson_distance, F),
             a,
             b,
             threshold_px,
