@@ -30,6 +30,7 @@ _CONFIGURATIONS = {
     Verdict.GENERAL: "CALIBRATED",
     Verdict.PLANAR: "PLANAR",
     Verdict.PURE_ROTATION: "PANORAMIC",
+    Verdict.AMBIGUOUS: "DEGENERATE",
     Verdict.TOO_LITTLE: "DEGENERATE",
 }
 _SCHEMA = """
@@ -165,7 +166,7 @@ def _two_view_geometry(pycolmap: Any, entry: Entry, found: RowMatches) -> Any:
     """The geometry with the matrices of pixels in COLMAP's convention, half a pixel further."""
     meta = entry.meta
     verdict = Verdict(meta["verdict"])
-    trusted = verdict is not Verdict.TOO_LITTLE
+    trusted = verdict not in (Verdict.TOO_LITTLE, Verdict.AMBIGUOUS)
     geometry = pycolmap.TwoViewGeometry()
     geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, _CONFIGURATIONS[verdict])
     inlier = found.inlier if trusted else np.zeros(len(found.rows), bool)

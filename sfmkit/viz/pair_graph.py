@@ -20,6 +20,7 @@ VERDICT_COLOURS = {
     Verdict.GENERAL.value: "#0072B2",
     Verdict.PLANAR.value: "#009E73",
     Verdict.PURE_ROTATION.value: "#E69F00",
+    Verdict.AMBIGUOUS.value: "#CC79A7",
     Verdict.TOO_LITTLE.value: "#BBBBBB",
     "failed": "#D55E00",
 }
