@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.cluster.vq import kmeans2, vq
+from scipy.cluster import vq  # as a module: autodoc cannot render the signature of kmeans2
 
 from ..errors import InputError
 from ..types import Features
@@ -52,7 +52,7 @@ def similarities(features_of: Callable[[int], Features], n: int, seed: int = 0) 
             f"the {n} photographs have {len(sample)} features; too few to compare them. Choose "
             "other pairs, such as --pairs sequential"
         )
-    centres, _ = kmeans2(sample, _CENTRES, iter=15, minit="++", rng=seed)
+    centres, _ = vq.kmeans2(sample, _CENTRES, iter=15, minit="++", rng=seed)
     described = np.stack([vlad(root_descriptors(features_of(k)), centres) for k in range(n)])
     return described @ described.T
 
@@ -88,7 +88,7 @@ def vlad(descriptors: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """
     sums = np.zeros(centres.shape, np.float32)
     if len(descriptors):
-        nearest, _ = vq(descriptors, centres)
+        nearest, _ = vq.vq(descriptors, centres)
         np.add.at(sums, nearest, descriptors - centres[nearest])
     sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)
     return (sums / max(float(np.linalg.norm(sums)), 1e-12)).ravel()
