@@ -21,7 +21,7 @@ with redirect_stdout(None):  # it prints its address, which is not a result of t
 from ..pipeline.reconstruction import Reconstruction
 from .blueprint import explorer_blueprint
 from .log import log_reconstruction
-from .stream import APPLICATION
+from .stream import APPLICATION, drain
 
 _RAY = "world/explored"
 
@@ -41,12 +41,20 @@ class RecordingViewer(notebook.Viewer):
 
 
 class ExplorerViewer(RecordingViewer):
-    """A viewer of a reconstruction, into which rays can be drawn."""
+    """A viewer of a reconstruction, into which rays can be drawn.
+
+    The reconstruction and its layout are sent as one message by the calling thread. A stream that
+    is connected to the viewer sends from a thread of its own, whose first messages can be lost or
+    arrive after others while the viewer starts. Only the rays are sent that way.
+    """
 
     def __init__(self, result: Reconstruction, **settings: Any):
         self._rec = rr.RecordingStream(APPLICATION, send_properties=False)
-        super().__init__(recording=self._rec, blueprint=explorer_blueprint(result), **settings)
         log_reconstruction(self._rec, result)
+        content = drain(self._rec, explorer_blueprint(result))
+        super().__init__(use_global_recording=False, **settings)
+        self._viewer.send_rrd(content)
+        self.add_recording(self._rec)
 
     def show_ray(self, ray: np.ndarray, point: np.ndarray | None) -> None:
         """Draw a ray in place of the last one.

@@ -287,11 +287,11 @@ def test_the_explorable_two_cameras_draws_the_line_of_its_pose(epipolar, bundled
     page = epipolar.page
     explorable = page.locator(".sfmkit-explorable")
     first, second = (explorable.locator("svg.photograph").nth(k) for k in (0, 1))
-    first.scroll_into_view_if_needed()
     before = second.locator("polyline.chosen-line").get_attribute("points")
-    box = first.bounding_box()
 
     def answered() -> bool:
+        first.scroll_into_view_if_needed()
+        box = first.bounding_box()
         page.mouse.click(box["x"] + 0.7 * box["width"], box["y"] + 0.3 * box["height"])
         line = second.locator("polyline.chosen-line")
         return wait_for(lambda: line.get_attribute("points") != before, 10)
@@ -334,22 +334,26 @@ def test_a_slider_responds_within_a_third_of_a_second(epipolar):
 def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundled):
     page = epipolar.page
     canvas = page.locator(VIEWER)
-    canvas.scroll_into_view_if_needed()
-    box = canvas.bounding_box()
-    assert box["x"] + box["width"] <= page.viewport_size["width"]
-
     image = read_image(bundled.image1)
     keypoints = np.concatenate([detect(image, name).keypoints for name in OPERATORS]).astype(float)
     w, h = image.size_wh
     found: list[tuple[int, int, int, int]] = []
 
     def drawn() -> bool:
-        """Whether the photograph is in the left half of the viewer, with its proportions."""
+        """Whether the photograph is in the left half of the viewer, with its proportions.
+
+        The viewer moves while the outputs above it change their height.
+        """
+        canvas.scroll_into_view_if_needed()
+        box = canvas.bounding_box()
+        assert box["x"] + box["width"] <= page.viewport_size["width"]
         found[:] = [photograph_in(epipolar.screenshot("viewer"), box)]
         x0, y0, x1, y1 = found[0]
         return x1 - x0 > 200 and abs((x1 - x0) * h - (y1 - y0) * w) < 4 * w
 
-    assert wait_for(drawn, 400, 1), f"the viewer shows no photograph: {found}"
+    assert wait_for(drawn, 400, 1), (
+        f"the viewer shows no photograph: {found} in {canvas.bounding_box()}"
+    )
     corner, scale = np.array(found[0][:2]), (found[0][2] - found[0][0]) / w
     seen: list[np.ndarray] = []
     before, _ = epipolar.explored()
