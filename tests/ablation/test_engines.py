@@ -16,7 +16,7 @@ import small_sweep
 from small_sweep import OPERATORS, InlineEngine, pairs
 
 from sfmkit.ablation import AblationTable, ablate, read_table, run
-from sfmkit.ablation.engines import LocalEngine
+from sfmkit.ablation.engines import ATTEMPTS, LocalEngine
 from sfmkit.ablation.plan import make_plan
 from sfmkit.ablation.version import engine_version
 from sfmkit.ablation.worker import Parcel, Setup
@@ -69,12 +69,19 @@ def wait_until(condition, seconds: float = 240.0) -> None:
 def kill_and_resume(
     folder: Path, moments: int, seed: int, workers: int = 2
 ) -> tuple[AblationTable, int]:
-    """Run the sweep, killing its parent or one of its workers at random moments, until it ends; how
-    many were killed."""
+    """Run the sweep, killing its parent or one of its workers at random moments, until it ends.
+
+    A run gives a task up when its workers died ATTEMPTS times, also if they died while they
+    started. So fewer workers than that are killed in one run; then it is the parent's turn.
+
+    Returns:
+        The table, and how many processes were killed.
+    """
     rng, killed = random.Random(seed), 0
     cache = folder / "cache"
     while True:
         process = start(folder, workers)
+        workers_killed = 0
         # The moment is a number of further results, so that every attempt gets somewhere however
         # slow the machine is.
         while killed < moments and process.poll() is None:
@@ -90,8 +97,9 @@ def kill_and_resume(
             if process.poll() is not None:
                 break
             killed += 1
-            if living and rng.random() < 0.5:
+            if living and workers_killed < ATTEMPTS - 1 and rng.random() < 0.5:
                 os.kill(rng.choice(living), signal.SIGKILL)
+                workers_killed += 1
             else:
                 process.kill()
                 wait_until(
