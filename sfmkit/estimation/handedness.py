@@ -17,6 +17,8 @@ from torch import Tensor
 
 # A triangle whose height is below this many pixels may be turned over by noise alone.
 _HEIGHT_PX = 3.0
+# Matches at most, for speed; about 8,000 triangles make the standard deviation of a share 0.8 %.
+_MATCHES = 4_000
 # Correct pairs measured: 0 to 6 % reversed by depth (Oxford, fountain, temple ring neighbours), and
 # 20 % for points of random depth without any surface. Photographs against their mirror images: 52
 # to 76 %. Matches of unrelated points: half.
@@ -73,11 +75,13 @@ def handedness(x1: Tensor, x2: Tensor, wrong: float = 1.0) -> Handedness:
 
     Args:
         x1, x2: (N, 2) pixels of the inliers. The triangles are those of the Delaunay triangulation
-            of x1, without those that are flat in either image.
+            of at most 4,000 points of x1, in equal steps of their order, without those that are
+            flat in either image.
         wrong: Expected share of inliers that agree by chance.
     """
     limit = reversed_limit(wrong)
-    a, b = (np.asarray(x.detach().cpu(), dtype=np.float64) for x in (x1, x2))
+    step = max(1, math.ceil(len(x1) / _MATCHES))
+    a, b = (np.asarray(x[::step].detach().cpu(), dtype=np.float64) for x in (x1, x2))
     _, first = np.unique(np.round(a, 3), axis=0, return_index=True)
     a, b = a[first], b[first]
     if len(a) < 4:

@@ -15,6 +15,7 @@ multi-stage samples, Survey Methodology 2002 (CR3); Hartley and Zisserman, 2nd e
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -29,7 +30,7 @@ from .checks import (
     check_points,
     check_values,
 )
-from .coordinates import inverse_intrinsics, to_homogeneous
+from .coordinates import inverse_intrinsics, normalize, to_homogeneous
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .losses import Loss, loss_terms
 from .pose import check_pose
@@ -233,22 +234,38 @@ def point_derivatives(
     R, t, x1, x2, K1, K2 = (a.double() for a in (R, t, x1, x2, K1, K2))
     t = t / t.norm()
     basis = tangent_basis(t)
+    xn1, xn2 = normalize(x1, K1), normalize(x2, K2)
+    rays1, rays2 = _rays_by_intrinsics(x1, K1), _rays_by_intrinsics(x2, K2)
 
-    def points(theta: Tensor) -> Tensor:
-        pose, first, second = theta[:5], theta[5:9], theta[9:]
-        xn1, xn2 = (_moved(x, K, k) for x, K, k in ((x1, K1, first), (x2, K2, second)))
-        return triangulate_optimal(xn1, xn2, so3_exp(pose[:3]) @ R, sphere_exp(t, basis @ pose[3:]))
+    def by_pose(theta: Tensor) -> Tensor:
+        turned, moved = so3_exp(theta[:3]) @ R, sphere_exp(t, basis @ theta[3:])
+        return triangulate_optimal(xn1, xn2, turned, moved)
 
-    steps = _STEP * torch.eye(13, dtype=R.dtype, device=R.device)
-    columns = [(points(step) - points(-step)) / (2 * _STEP) for step in steps]
+    columns = [
+        *_central_differences(by_pose, 5, R),
+        *_central_differences(lambda error: triangulate_optimal(rays1(error), xn2, R, t), 4, R),
+        *_central_differences(lambda error: triangulate_optimal(xn1, rays2(error), R, t), 4, R),
+    ]
     return torch.stack(columns, -1).to(kind)
 
 
-def _moved(x: Tensor, K: Tensor, error: Tensor) -> Tensor:
-    """Normalised coordinates of pixels under an error of the intrinsics (:data:`INTRINSICS`)."""
-    shift = _radial_shift(x, K) * error[3]
-    xn = to_homogeneous(x + shift - error[1:3]) @ inverse_intrinsics(K).mT
-    return xn[:, :2] / (1 + error[0])
+def _central_differences(
+    function: Callable[[Tensor], Tensor], n: int, like: Tensor
+) -> Iterator[Tensor]:
+    """Derivatives at zero of a function with respect to its `n` arguments."""
+    for step in _STEP * torch.eye(n, dtype=like.dtype, device=like.device):
+        yield (function(step) - function(-step)) / (2 * _STEP)
+
+
+def _rays_by_intrinsics(x: Tensor, K: Tensor) -> Callable[[Tensor], Tensor]:
+    """Normalised coordinates of pixels, as a function of the errors (:data:`INTRINSICS`)."""
+    radial, inverse = _radial_shift(x, K), inverse_intrinsics(K).mT
+
+    def rays(error: Tensor) -> Tensor:
+        xn = to_homogeneous(x + radial * error[3] - error[1:3]) @ inverse
+        return xn[:, :2] / (1 + error[0])
+
+    return rays
 
 
 def image_blocks(x: Tensor, size_wh: tuple[int, int], across: int = 12) -> Tensor:
