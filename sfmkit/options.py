@@ -12,7 +12,7 @@ keypoints include more that resemble each other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from .errors import InputError
@@ -112,6 +112,10 @@ class EstimateOptions:
         if not 0 < self.confidence < 1:
             raise InputError(f"confidence must lie between 0 and 1, not {self.confidence}")
 
+    def with_backend(self, backend: str) -> EstimateOptions:
+        """The options with another estimator; a method belongs to its estimator and is reset."""
+        return self if backend == self.backend else replace(self, backend=backend, method=None)
+
 
 @dataclass(frozen=True)
 class PlanarOptions:
@@ -168,6 +172,39 @@ class Options:
     planar: PlanarOptions = field(default_factory=PlanarOptions)
     triangulate: TriangulateOptions = field(default_factory=TriangulateOptions)
     device: str = "cpu"
+
+
+def adjust_preset(
+    preset: str,
+    *,
+    backend: str | None = None,
+    threshold_px: float | None = None,
+    budget: int | None = None,
+    max_size: int | None = None,
+) -> Options:
+    """The options of a preset with the changes that commands and benchmarks offer.
+
+    Args:
+        preset: A key of :data:`PRESETS`.
+        backend, threshold_px: Of :class:`EstimateOptions`; None keeps the preset's.
+        budget, max_size: Of :class:`DetectOptions`; None keeps the preset's.
+
+    Raises:
+        InputError: There is no such preset, or a value is out of range.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"unknown preset '{preset}'; there are {', '.join(PRESETS)}")
+    options = PRESETS[preset]
+    detect, estimate = options.detect, options.estimate
+    if backend is not None:
+        estimate = estimate.with_backend(backend)
+    if threshold_px is not None:
+        estimate = replace(estimate, threshold_px=threshold_px)
+    if budget is not None:
+        detect = replace(detect, budget=budget)
+    if max_size is not None:
+        detect = replace(detect, max_size=max_size)
+    return replace(options, detect=detect, estimate=estimate)
 
 
 def as_plain(options: Any) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 from .._utils.notices import collected
 from ..errors import InputError
 from ..estimation import within_the_field
-from ..matching import find_leaders, fuse, run_matcher
+from ..matching import find_leaders, represent, run_matcher
 from ..pipeline.stages import estimate_geometry
 from ..types import Correspondences, Features, Matches, TwoView, Verdict
 from .entry import Entry
@@ -55,10 +55,9 @@ def make_geometry(task: PairTask, features: Mapping[str, FeaturePair], masks: Ma
         seconds["match"] = time.process_time() - began
         began = time.process_time()
         matched = {name: (*features[name], matches[name]) for name in features}
-        radius = task.fuse.merge_radius
-        leader = find_leaders(matched, merge_radius=radius)
+        leader = find_leaders(matched, merge_radius=task.fuse.merge_radius)
         kept = np.flatnonzero(leader == np.arange(len(leader)))
-        fused = fuse(matched, merge_radius=radius)
+        fused = represent(matched, leader)
         seen = within_the_field(fused, *task.cameras)
         rows = kept[_rows_of(seen, fused)]
         view, _ = estimate_geometry(seen, task.cameras, task.estimate, seed=task.seed)
@@ -110,19 +109,9 @@ def visible_rows(features: Features, mask: np.ndarray | None) -> np.ndarray:
 
 def _match(task: PairTask, name: str, pair: FeaturePair, rows: tuple[np.ndarray, ...]) -> Matches:
     """The matches of one operator among the visible keypoints, as rows of all features."""
-    first, second = (_take(f, r) for f, r in zip(pair, rows))
+    first, second = (f if len(r) == len(f) else f.take(r) for f, r in zip(pair, rows))
     found = run_matcher(first, second, task.matches[name].options, operator=name)
     return replace(found, index1=rows[0][found.index1], index2=rows[1][found.index2])
-
-
-def _take(features: Features, rows: np.ndarray) -> Features:
-    if len(rows) == len(features):
-        return features
-    names = ("keypoints", "scales", "angles", "scores", "descriptors")
-    chosen: dict[str, Any] = {name: getattr(features, name)[rows] for name in names}
-    if features.laplacian is not None:
-        chosen["laplacian"] = features.laplacian[rows]
-    return replace(features, **chosen)
 
 
 def _rows_of(part: Correspondences, whole: Correspondences) -> np.ndarray:

@@ -13,8 +13,8 @@ from typing import Any
 from .._utils.progress import Progress, silent
 from ..datasets import Pair
 from ..errors import InputError
-from ..features import OPERATOR_PLUGINS, available
-from ..matching.plugins import OTHER_OPERATORS, matcher_of
+from ..features import choose_operators
+from ..matching.plugins import OTHER_OPERATORS, canonical_matchers, matcher_of
 from .cache import Cache
 from .plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
 from .sources import ImageShelf, PlannedPair, find_pairs, plan_pair
@@ -189,11 +189,7 @@ def make_plan(
         InputError: unknown operators, combinations, presets, settings, data sets; fewer pairs than
             shards.
     """
-    names = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
-    for name in names:
-        usable, reason = available(name)
-        if not usable:
-            raise InputError(f"operator '{name}' is not available here: {reason}")
+    names = choose_operators(operators)
     if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
         raise InputError(f"seeds must be a whole number of at least 1, not {seeds!r}")
     combinations = choose_combinations(names, combos)
@@ -240,12 +236,12 @@ def chosen_plugins(
 ) -> dict[str, Sequence[Any]]:
     """Matchers and estimator as settings with one value each, for :func:`choose_variants`."""
     chosen: dict[str, Sequence[Any]] = {}
+    matchers = canonical_matchers(matchers)
     if isinstance(matchers, str):
         chosen[MATCHER_SETTING] = [matchers]
     elif matchers is not None:
         for name, matcher in matchers.items():
-            others = name == OTHER_OPERATORS
-            owner = "" if others else f"{OPERATOR_PLUGINS.canonical(name)}."
+            owner = "" if name == OTHER_OPERATORS else f"{name}."
             chosen[owner + MATCHER_SETTING] = [matcher]
     return chosen if backend is None else chosen | {"backend": [backend]}
 

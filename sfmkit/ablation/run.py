@@ -109,7 +109,7 @@ def ablate(
             are lost; long enough for the queue of a batch system.
         out: folder of the ablation, which is resumed if it exists; None keeps the table in memory.
         root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
-        workers: local processes; None for one a core.
+        workers: local processes; None for one per core.
         scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.
         ship: whether the cluster's workers see our files (``path``: images and cache), or images
             travel to them and arrays back (``bytes``).

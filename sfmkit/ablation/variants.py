@@ -198,7 +198,9 @@ def _options(variant: Variant) -> Options:
     options = PRESETS[variant.preset]
     for name, value in variant.changes:
         owner, _, option = name.rpartition(".")
-        if not owner:
+        if name == "backend":
+            options = replace(options, estimate=options.estimate.with_backend(value))
+        elif not owner:
             stage = STAGE_SETTINGS[name]
             options = replace(options, **{stage: replace(getattr(options, stage), **{name: value})})
         elif option == MATCHER:

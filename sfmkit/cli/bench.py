@@ -72,7 +72,7 @@ def OUT(name: str) -> Callable:
 @OPERATORS
 @click.option("--seeds", type=click.IntRange(1, 10_000), default=5, show_default=True, metavar="N")
 @click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one a core."
+    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
 )
 @OUT("oxford")
 @DATA
@@ -298,7 +298,7 @@ def pairs_of_any_data(
 )
 @OPERATORS
 @click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one a core."
+    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
 )
 @OUT("verdict")
 @DATA

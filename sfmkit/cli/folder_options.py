@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,7 +13,6 @@ from .parsing import POSITIVE, SEED, matchers, names, size_in_bytes
 if TYPE_CHECKING:
     from ..mapping import MatchedFolder
     from ..mapping.planning import FolderPlan
-    from ..options import Options
 
 __all__ = ["folder_options", "match", "print_pairs"]
 
@@ -105,7 +103,7 @@ _OPTIONS = (
     ),
     click.option("--seed", type=SEED, default=0, show_default=True),
     click.option(
-        "--workers", type=click.IntRange(1, 1024), metavar="N", help="Default: one a core."
+        "--workers", type=click.IntRange(1, 1024), metavar="N", help="Default: one per core."
     ),
     click.option(
         "--scheduler",
@@ -151,6 +149,7 @@ def match(
         given: The values of the options.
     """
     from ..mapping import Workshop, match_folder
+    from ..options import adjust_preset
 
     workshop = Workshop.of(
         given["cache"], given["cache_size"], given["workers"], given["scheduler"], watch
@@ -160,7 +159,13 @@ def match(
         intrinsics=given["intrinsics"],
         operators=given["operators"],
         matchers=given["chosen_matchers"],
-        options=_stage_options(**given),
+        options=adjust_preset(
+            given["preset"],
+            backend=given["backend"],
+            threshold_px=given["threshold"],
+            budget=given["budget"],
+            max_size=given["max_size"],
+        ),
         pairs=given["rules"],
         descriptor=given["descriptor"],
         masks=given["masks"],
@@ -168,22 +173,6 @@ def match(
         shard=shard,
         check=check,
         workshop=workshop,
-    )
-
-
-def _stage_options(**given: Any) -> Options:
-    from ..options import PRESETS
-
-    options = PRESETS[given["preset"]]
-    chosen = {"backend": given["backend"], "threshold_px": given["threshold"]}
-    estimate = {name: value for name, value in chosen.items() if value is not None}
-    if given["backend"] is not None:
-        estimate["method"] = None  # the preset's method belongs to the preset's estimator
-    sizes = {name: given[name] for name in ("budget", "max_size") if given[name] is not None}
-    return replace(
-        options,
-        estimate=replace(options.estimate, **estimate),
-        detect=replace(options.detect, **sizes),
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .._utils.writing import check_free
+from .._utils.writing import check_file, check_free
 from .exit_status import OK, UNTRUSTWORTHY
 from .folder_options import folder_options, match, print_pairs
 from .parsing import parse_shard
@@ -91,10 +91,9 @@ def _check_hand_over(colmap: Path | None, h5: Path | None, overwrite: bool) -> N
         from ..io.colmap.engine import pycolmap_module
 
         pycolmap_module()
-        if colmap.exists() and not (overwrite and colmap.is_file()):
+        check_file(colmap)
+        if colmap.exists() and not overwrite:
             raise OutputError(f"{colmap} exists; choose another file, or use --overwrite")
-        if not colmap.absolute().parent.is_dir():
-            raise OutputError(f"there is no folder {colmap.absolute().parent}")
     if h5 is not None:
         from ..mapping.hloc import h5py_module
 

@@ -17,11 +17,6 @@ from .progress import progress
 OPERATORS = "surf,orb,fast-brief"
 
 
-def given(**values: Any) -> dict[str, Any]:
-    """The values that are not None."""
-    return {name: value for name, value in values.items() if value is not None}
-
-
 @click.command()
 @click.argument("image1")
 @click.argument("image2")
@@ -134,25 +129,17 @@ def reconstruct(
     Writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder --out. Exit
     status: 0 done, 1 ran but found no trustworthy geometry (the report says why), 2 bad input.
     """
-    from dataclasses import replace
-
     check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
         say("start", "loading libraries")
         from ..io.truth import read_truth
-        from ..options import PRESETS
+        from ..options import adjust_preset
         from ..pipeline.reconstruction import reconstruct as run
         from ..reports.outputs import write_outputs
 
         pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
-        options = PRESETS[preset]
-        estimate = given(backend=backend, threshold_px=threshold)
-        if backend is not None:
-            estimate["method"] = None  # the preset's method belongs to the preset's estimator
-        options = replace(
-            options,
-            estimate=replace(options.estimate, **estimate),
-            detect=replace(options.detect, **given(budget=budget, max_size=max_size)),
+        options = adjust_preset(
+            preset, backend=backend, threshold_px=threshold, budget=budget, max_size=max_size
         )
         result = run(
             image1,

@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -30,11 +29,11 @@ from ..datasets.pair import Pair
 from ..datasets.strecha import strecha
 from ..datasets.synthetic import SyntheticPair, render
 from ..errors import InputError
-from ..features import OPERATOR_PLUGINS
+from ..features import choose_operators
 from ..geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from ..io.images import Image, read_image
 from ..matching.fusion import fuse
-from ..options import PRESETS, Options
+from ..options import PRESETS, Options, adjust_preset
 from ..pipeline.account import ALL, make_account
 from ..pipeline.stages import (
     OPERATORS_OF_THE_PAPER,
@@ -94,9 +93,7 @@ def bench_fountain(
             other settings.
     """
     check_folder(out)
-    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
-    if not operators:
-        raise InputError("name at least one operator")
+    operators = choose_operators(operators)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
     for name in presets:
@@ -123,8 +120,7 @@ def bench_fountain(
             progress("fountain", f"{label}, {preset}", fraction=done / len(parts))
         if (kind, label, preset) in have and (picture is None or picture.exists()):
             continue
-        options = PRESETS[preset]
-        options = replace(options, detect=replace(options.detect, max_size=max_size))
+        options = adjust_preset(preset, max_size=max_size)
         if isinstance(what, Pair):
             new = _pair_rows(what, operators, options, seeds, picture)
         else:

@@ -25,7 +25,7 @@ from .._version import __version__
 from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
 from ..errors import InputError
-from ..features import OPERATOR_PLUGINS, detect
+from ..features import choose_operators, detect
 from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import read_image
@@ -82,9 +82,7 @@ def bench_oxford(
             settings.
     """
     check_folder(out)
-    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
-    if not operators:
-        raise InputError("name at least one operator")
+    operators = choose_operators(operators)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
     pairs = list(oxford(data, sequences))

@@ -12,7 +12,6 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +24,11 @@ from ..datasets import Pair, find_source
 from ..datasets.pair import HOMOGRAPHY
 from ..errors import InputError, SfmError
 from ..estimation import within_the_field
-from ..features import OPERATOR_PLUGINS
+from ..features import choose_operators
 from ..io.images import Image, read_image
-from ..matching.plugins import OTHER_OPERATORS
+from ..matching.plugins import canonical_matchers
 from ..metrics import check_point_error, corner_error
-from ..options import PRESETS, Options
+from ..options import Options, adjust_preset
 from ..pipeline.account import ALL
 from ..pipeline.provenance import used_plugins
 from ..pipeline.registration import register_matches
@@ -96,19 +95,9 @@ def bench_pairs(
     check_folder(out)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
-    if preset not in PRESETS:
-        raise InputError(f"unknown preset '{preset}'; there are {', '.join(PRESETS)}")
-    canonical = OPERATOR_PLUGINS.canonical
-    operators = tuple(dict.fromkeys(canonical(name) for name in operators))
-    if isinstance(matchers, Mapping):
-        matchers = {
-            name if name == OTHER_OPERATORS else canonical(name): matcher
-            for name, matcher in matchers.items()
-        }
-    options = PRESETS[preset]
-    options = replace(options, detect=replace(options.detect, max_size=max_size))
-    if backend is not None:
-        options = replace(options, estimate=replace(options.estimate, backend=backend))
+    operators = choose_operators(operators)
+    matchers = canonical_matchers(matchers)
+    options = adjust_preset(preset, backend=backend, max_size=max_size)
     options = choose_options(options, operators, matchers=matchers)
     pairs = find_pairs(data, root)
     settings = {

@@ -19,12 +19,12 @@ from .._version import __version__
 from ..datasets.pair import Pair
 from ..datasets.uav import uav
 from ..errors import InputError, SfmError
-from ..features import OPERATOR_PLUGINS
+from ..features import choose_operators
 from ..geometry.reprojection import project
 from ..io.cameras import camera_from_exif
 from ..io.images import read_image
 from ..io.ply import read_ply, write_ply
-from ..options import PRESETS
+from ..options import PRESETS, adjust_preset
 from ..pipeline.account import ALL
 from ..pipeline.reconstruction import reconstruct
 from ..pipeline.stages import OPERATORS_OF_THE_PAPER
@@ -144,7 +144,7 @@ def bench_uav(
             other settings.
     """
     check_folder(out)
-    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
+    operators = choose_operators(operators)
     for name in presets:
         if name not in PRESETS:
             raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
@@ -222,8 +222,7 @@ def _pair_row(
     camera: Camera,
     out: Path | None,
 ) -> Row:
-    options = PRESETS[preset]
-    options = changed(options, detect=changed(options.detect, max_size=max_size))
+    options = adjust_preset(preset, max_size=max_size)
     result = reconstruct(pair.image1, pair.image2, operators=operators, options=options)
     cloud, line = result.cloud, result.account[ALL]
     row: Row = {

@@ -24,7 +24,7 @@ from .._version import __version__
 from ..errors import InputError
 from ..estimation import run_estimator, undistorted_pixels, within_the_field
 from ..estimation.two_view import pose_from_fit
-from ..features import OPERATOR_PLUGINS, detect
+from ..features import choose_operators, detect
 from ..geometry.pose import rotation_error, translation_error
 from ..options import DEFAULT, EstimateOptions
 from ..pipeline.stages import OPERATORS_OF_THE_PAPER, estimate_geometry, fuse_all, match_all
@@ -70,7 +70,7 @@ def bench_verdict(
             name, or rows in `out` come from other settings.
     """
     check_folder(out)
-    operators = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
+    operators = choose_operators(operators)
     settings = {"version": __version__, "operators": list(operators)}
     store = RowStore(Path(out) / "rows.jsonl", settings)
     rows = store.read()

@@ -52,7 +52,7 @@ def rules() -> list[Rule]:
 
 def is_ambiguous(row: Row) -> bool:
     """Whether the pose of a row comes with the verdict ``ambiguous``."""
-    return row["verdict"] == getattr(Verdict, "AMBIGUOUS", None)
+    return row["verdict"] == Verdict.AMBIGUOUS
 
 
 def quality(row: Row) -> str:

@@ -1,7 +1,7 @@
 """Stage 1, image -> Features: detectors and descriptors behind one call."""
 
 from .lafs import keypoints_from_lafs, lafs_from_features
-from .operators import OperatorInfo, available, detect, list_operators
+from .operators import OperatorInfo, available, choose_operators, detect, list_operators
 from .plugins import OPERATOR_PLUGINS, Operator, register_operator, run_operator
 from .selection import select_evenly
 from .tables import (
@@ -25,6 +25,7 @@ __all__ = [
     "OperatorInfo",
     "OperatorSpec",
     "available",
+    "choose_operators",
     "detect",
     "find_spec",
     "keypoints_from_lafs",

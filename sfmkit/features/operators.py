@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -180,6 +181,23 @@ def available(name: str) -> tuple[bool, str]:
     """
     check = getattr(OPERATOR_PLUGINS[name], "available", None)
     return (True, "") if check is None else check()
+
+
+def choose_operators(names: Iterable[str]) -> tuple[str, ...]:
+    """The canonical names of operators that can run here, each once, in the given order.
+
+    Raises:
+        InputError: There is none, or one is not available here.
+        OperatorError: One is unknown.
+    """
+    chosen = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in names))
+    if not chosen:
+        raise InputError("name at least one operator")
+    for name in chosen:
+        usable, reason = available(name)
+        if not usable:
+            raise InputError(f"operator '{name}' is not available here: {reason}")
+    return chosen
 
 
 def list_operators() -> list[OperatorInfo]:

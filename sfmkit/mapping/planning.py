@@ -15,15 +15,15 @@ from ..ablation.plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn,
 from ..ablation.tasks import DetectTask, ImageRef, MatchTask, PairTask
 from ..ablation.variants import Setting
 from ..errors import InputError
-from ..features import OPERATOR_PLUGINS, available
-from ..matching import choose_matchers, matcher_of
+from ..features import choose_operators
+from ..matching import canonical_matchers, choose_matchers, matcher_of
 from ..options import DEFAULT, Options
 from ..types import MAX_OPERATORS
 from .collection import Collection
 from .retrieval import BUDGET, MAX_SIZE
 from .shared_cameras import SharedCameras
 
-__all__ = ["FolderPlan", "Recipe", "check_operators", "make_recipe"]
+__all__ = ["FolderPlan", "Recipe", "make_recipe"]
 
 _NO_IMAGE = ""  # digest of a reference that only carries the size
 
@@ -165,22 +165,6 @@ class FolderPlan:
         return replace(self, pairs=rows)
 
 
-def check_operators(operators: Sequence[str]) -> tuple[str, ...]:
-    """The canonical names of operators that can run here, each once.
-
-    Raises:
-        InputError: None, too many, or one that is unknown or not available.
-    """
-    names = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in operators))
-    if not 1 <= len(names) <= MAX_OPERATORS:
-        raise InputError(f"name 1 to {MAX_OPERATORS} operators, not {len(names)}")
-    for name in names:
-        usable, reason = available(name)
-        if not usable:
-            raise InputError(f"operator '{name}' is not available here: {reason}")
-    return names
-
-
 def make_recipe(
     operators: Sequence[str],
     *,
@@ -200,13 +184,13 @@ def make_recipe(
     Raises:
         InputError: One of them is unknown or cannot be used, or `seed` is out of range.
     """
-    names = check_operators(operators)
-    (descriptor,) = check_operators([descriptor])
+    names = choose_operators(operators)
+    if len(names) > MAX_OPERATORS:
+        raise InputError(f"at most {MAX_OPERATORS} operators can be fused, not {len(names)}")
+    (descriptor,) = choose_operators([descriptor])
     if not 0 <= seed < 2**31:
         raise InputError(f"seed must be from 0 to 2^31 - 1, not {seed}")
-    if isinstance(matchers, Mapping):
-        matchers = {OPERATOR_PLUGINS.canonical(name): matcher for name, matcher in matchers.items()}
-    match = choose_matchers(options.match, matchers)
+    match = choose_matchers(options.match, canonical_matchers(matchers))
     unused = [name for name in match.matchers if name not in names]
     if unused:
         raise InputError(f"a matcher for operators that are not used: {', '.join(unused)}")
@@ -216,11 +200,6 @@ def make_recipe(
     wanted.append((ESTIMATOR, options.estimate.backend))
     plugins = {key: find_plugin(*key) for key in dict.fromkeys(wanted)}
     return Recipe(names, options, plugins, descriptor, seed)
-
-
-def megapixels(collection: Collection) -> float:
-    """Megapixels of all photographs together."""
-    return sum(p.size_wh[0] * p.size_wh[1] for p in collection.photographs) / 1e6
 
 
 def worker_count(workers: int | None) -> int:

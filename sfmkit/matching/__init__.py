@@ -1,12 +1,13 @@
 """Stage 2, Features -> Matches -> Correspondences: nearest neighbours, guided matching, fusion."""
 
-from .fusion import absorb, find_leaders, fuse
+from .fusion import absorb, find_leaders, fuse, represent
 from .guided import match_guided
 from .nearest import match
 from .plugins import (
     MATCHER_PLUGINS,
     Matcher,
     MatcherInfo,
+    canonical_matchers,
     choose_matchers,
     list_matchers,
     matcher_of,
@@ -19,6 +20,7 @@ __all__ = [
     "Matcher",
     "MatcherInfo",
     "absorb",
+    "canonical_matchers",
     "choose_matchers",
     "find_leaders",
     "fuse",
@@ -27,5 +29,6 @@ __all__ = [
     "match_guided",
     "matcher_of",
     "register_matcher",
+    "represent",
     "run_matcher",
 ]

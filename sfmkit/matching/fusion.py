@@ -52,7 +52,21 @@ def fuse(
         InputError: no or too many operators, matches outside the features, images of different
             sizes, a bad radius.
     """
-    leader = find_leaders(matches, merge_radius=merge_radius, cost=cost)
+    return represent(matches, find_leaders(matches, merge_radius=merge_radius, cost=cost))
+
+
+def represent(
+    matches: Mapping[str, tuple[Features, Features, Matches]], leader: np.ndarray
+) -> Correspondences:
+    """The correspondences that remain when every match is represented by its leader.
+
+    Args:
+        matches: As for :func:`fuse`.
+        leader: (M,) rows of :func:`find_leaders`.
+
+    Returns:
+        As for :func:`fuse`.
+    """
     per_operator = list(matches.values())
     x1, x2 = _positions(per_operator)
     distance, ratio = (

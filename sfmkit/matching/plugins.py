@@ -11,6 +11,7 @@ import numpy as np
 
 from .._utils.registry import Registry, accepted
 from ..errors import InputError
+from ..features import OPERATOR_PLUGINS
 from ..options import MatchOptions
 from ..types import Features, Matches
 from .learned import lightglue
@@ -68,6 +69,25 @@ def register_matcher(name: str, matcher: F) -> F:
 def matcher_of(operator: str, options: MatchOptions) -> str:
     """The name of the matcher that the options choose for an operator."""
     return options.matchers.get(operator, options.matcher)
+
+
+def canonical_matchers(
+    matchers: str | Mapping[str, str] | None,
+) -> str | Mapping[str, str] | None:
+    """The same choice of matchers with the canonical names of the operators.
+
+    Args:
+        matchers: As for :func:`choose_matchers`; the key ``"*"`` is kept.
+
+    Raises:
+        OperatorError: An operator is unknown.
+    """
+    if not isinstance(matchers, Mapping):
+        return matchers
+    return {
+        name if name == OTHER_OPERATORS else OPERATOR_PLUGINS.canonical(name): matcher
+        for name, matcher in matchers.items()
+    }
 
 
 def choose_matchers(

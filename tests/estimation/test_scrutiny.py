@@ -12,7 +12,7 @@ from scipy.stats import binom, mannwhitneyu
 
 from sfmkit.estimation import estimate_two_view
 from sfmkit.estimation.chance import log10_tail
-from sfmkit.estimation.halves import cross_validate
+from sfmkit.estimation.halves import Halves, cross_validate
 from sfmkit.estimation.rivals import quality_odds
 from sfmkit.estimation.witnesses import operator_witnesses, unsupported
 from sfmkit.geometry.lie import so3_exp
@@ -105,39 +105,26 @@ def test_operators_that_contradict_each_other_are_refused():
     assert all(w.inliers == w.matches for w in agreeing.values())
 
 
+def halves_of(scene: Scene) -> Halves:
+    """The halves of a scene without distance ratios, of one operator."""
+    n = len(scene.x1)
+    ratio = torch.full((n,), torch.nan, dtype=torch.float64)
+    operator_id = torch.zeros(n, dtype=torch.int64)
+    motion = scene.R, scene.t, scene.x1, scene.x2, scene.K1, scene.K2
+    return cross_validate(*motion, SIZE, ratio, operator_id, 1.0)
+
+
 @pytest.mark.parametrize("wrong", [0.0, 0.6])
 def test_halves_of_a_scene_find_one_motion(wrong):
     scene = make_scene(400, noise=0.3, outliers=wrong)
-    found = cross_validate(
-        scene.R,
-        scene.t,
-        scene.x1,
-        scene.x2,
-        scene.K1,
-        scene.K2,
-        SIZE,
-        torch.full((400,), torch.nan, dtype=torch.float64),
-        torch.zeros(400, dtype=torch.int64),
-        1.0,
-    )
+    found = halves_of(scene)
     assert found.consistent
     assert max(found.apart_deg) < 5
 
 
 def test_halves_of_random_matches_do_not():
     scene = make_scene(400, outliers=1.0)
-    found = cross_validate(
-        scene.R,
-        scene.t,
-        scene.x1,
-        scene.x2,
-        scene.K1,
-        scene.K2,
-        SIZE,
-        torch.full((400,), torch.nan, dtype=torch.float64),
-        torch.zeros(400, dtype=torch.int64),
-        1.0,
-    )
+    found = halves_of(scene)
     assert not found.consistent
 
 
