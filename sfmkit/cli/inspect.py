@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 
 import click
@@ -20,6 +21,25 @@ RECORDING = click.Path(path_type=Path)
     type=click.IntRange(0, 2**63 - 1),
     metavar="N",
     help="Print the origin of point N of the cloud.",
+)
+@click.option(
+    "--pixel",
+    metavar="X,Y",
+    help="Print the keypoints near a pixel and what became of each; image 1 without --image.",
+)
+@click.option(
+    "--image", type=click.IntRange(1, 2), default=None, help="The image of --pixel.  [default: 1]"
+)
+@click.option(
+    "--match",
+    type=click.IntRange(0, 2**63 - 1),
+    metavar="N",
+    help="Print how fused match N was found and what became of it.",
+)
+@click.option(
+    "--rejected",
+    is_flag=True,
+    help="Print why keypoints and matches were rejected, with examples; with --operator, of one.",
 )
 @click.option("--operator", metavar="NAME", help="Print the statistics of one operator.")
 @click.option(
@@ -40,6 +60,10 @@ RECORDING = click.Path(path_type=Path)
 def inspect(
     recording: Path,
     point: int | None,
+    pixel: str | None,
+    image: int | None,
+    match: int | None,
+    rejected: bool,
     operator: str | None,
     entity: str | None,
     diff: Path | None,
@@ -49,13 +73,27 @@ def inspect(
 
     Without an option: verdict, pose, statistics per operator, times.
     """
-    if sum(question is not None for question in (point, operator, entity, diff)) > 1:
-        raise InputError("use one of --point, --operator, --entity and --diff at a time")
+    alone = None if rejected else operator
+    asked = (point, pixel, match, rejected or None, alone, entity, diff)
+    if sum(question is not None for question in asked) > 1:
+        raise InputError(
+            "use one of --point, --pixel, --match, --rejected, --operator, --entity and --diff at "
+            "a time"
+        )
+    if image is not None and pixel is None:
+        raise InputError("--image needs --pixel X,Y")
+    x, y = _pixel(pixel) if pixel is not None else (0.0, 0.0)
     from ..recording import inspection
 
     prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
     if point is not None:
         answer = inspection.describe_point(recording, point, prefix)
+    elif pixel is not None:
+        answer = inspection.describe_pixel(recording, x, y, image or 1, prefix)
+    elif match is not None:
+        answer = inspection.describe_match(recording, match, prefix)
+    elif rejected:
+        answer = inspection.describe_rejected(recording, operator, prefix)
     elif operator is not None:
         answer = inspection.describe_operator(recording, operator, prefix)
     elif entity is not None:
@@ -65,6 +103,16 @@ def inspect(
     else:
         answer = inspection.describe_recording(recording)
     click.echo(answer)
+
+
+def _pixel(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--pixel takes two numbers X,Y, not {text!r}") from None
+    if not (isfinite(x) and isfinite(y)):
+        raise InputError(f"--pixel takes finite numbers, not {text!r}")
+    return x, y
 
 
 @click.command()

@@ -260,7 +260,14 @@ def _log_features(
         for name, pair in result.features.items():
             f, b = pair[number - 1], became[name][number - 1]
             if len(f):
-                own = {"fate": b.fate, "match": b.match, "point": b.point}
+                own = {
+                    "fate": b.fate,
+                    "match": b.match,
+                    "point": b.point,
+                    "partner": b.partner,
+                    "descriptor_distance": b.distance,
+                    "descriptor_ratio": b.ratio,
+                }
                 log_keypoints(
                     rec, number, f, operator=name, camera=camera, details=own, prefix=prefix
                 )
@@ -441,6 +448,8 @@ def _match_columns(result: Reconstruction, traced: Trace) -> dict[str, Any]:
         "point": traced.point,
         "x1": corr.x1.numpy(),
         "x2": corr.x2.numpy(),
+        "keypoint1": corr.index1.numpy(),
+        "keypoint2": corr.index2.numpy(),
         "descriptor_distance": corr.distance.numpy(),
         "descriptor_ratio": corr.ratio.numpy(),
     }

@@ -137,11 +137,16 @@ class KeypointTrace:
         fate: (N,) str.
         match: (N,) int64 row of the correspondence, -1 for none.
         point: (N,) int64 row of the cloud, -1 for none.
+        partner: (N,) int64 row of the matched keypoint in the other image, -1 for none.
+        distance, ratio: (N,) float32 of the match's descriptors; NaN without a match.
     """
 
     fate: np.ndarray
     match: np.ndarray
     point: np.ndarray
+    partner: np.ndarray
+    distance: np.ndarray
+    ratio: np.ndarray
 
 
 def trace_keypoints(
@@ -155,7 +160,9 @@ def trace_keypoints(
     for name, (rows, merged) in matches_to_rows(features, matches, corr).items():
         m = matches[name]
         pair = []
-        for f, index in zip(features[name], (m.index1, m.index2)):
+        for f, index, other in zip(
+            features[name], (m.index1, m.index2), (m.index2, m.index1), strict=True
+        ):
             match = np.full(len(f), -1, dtype=np.int64)
             match[index] = rows
             fate = np.full(len(f), UNMATCHED, dtype=object)
@@ -163,6 +170,10 @@ def trace_keypoints(
                 merged, MERGED, traced.fate[rows] if len(traced.fate) else MERGED
             )
             point = np.where(match >= 0, traced.point[match] if len(traced.point) else -1, -1)
-            pair.append(KeypointTrace(fate.astype(str), match, point))
+            partner = np.full(len(f), -1, dtype=np.int64)
+            partner[index] = other
+            distance, ratio = np.full((2, len(f)), np.nan, dtype=np.float32)
+            distance[index], ratio[index] = m.distance, m.ratio
+            pair.append(KeypointTrace(fate.astype(str), match, point, partner, distance, ratio))
         became[name] = (pair[0], pair[1])
     return became
