@@ -18,7 +18,12 @@ def in_front(X, R, t):
     return (X[:, 2] > 0) & ((X @ R.T + t)[:, 2] > 0)
 
 
+def shifted(R, t, s):
+    return t + R @ s
+
+
 check("05.1", centre)
 check("05.2", essential)
 check("05.3", in_front)
 check("05.4", "length of t")
+check("05.5", shifted)

@@ -17,6 +17,11 @@ def covariance_of(J, sigma):
     return sigma**2 * np.linalg.inv(J.T @ J)
 
 
+def total(pixels, regions, cameras):
+    return np.hypot(regions, cameras)
+
+
 check("07.1", derivative)
 check("07.2", step)
 check("07.3", covariance_of)
+check("07.4", total)

@@ -97,6 +97,10 @@ HINTS: dict[str, tuple[str, str]] = {
         "Imagine a model of the scene at half the size.",
         "If all points and the translation are multiplied by a number, the pixels do not change.",
     ),
+    "05.5": (
+        "Camera 2 sees the point X + s where the matches claim that it sees X.",
+        "X2 = R (X + s) + t = R X + (t + R s).",
+    ),
     "06.1": (
         "Use similar triangles: the baseline at the depth z, the disparity at the focal length.",
         "b / z = d / f.",
@@ -125,6 +129,10 @@ HINTS: dict[str, tuple[str, str]] = {
     "07.3": (
         "The covariance of the residuals is sigma² times the identity.",
         "The covariance is sigma² times the inverse of J^T J.",
+    ),
+    "07.4": (
+        "Two parts are independent of each other. Which part is contained in another one?",
+        "The variances of the image regions and of the cameras add up; take the square root.",
     ),
     "08.1": (
         "What does a single run with the error e contribute to the area?",

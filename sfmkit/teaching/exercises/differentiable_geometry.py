@@ -61,4 +61,24 @@ EXERCISES: dict[str, Exercise] = {
         ),
         random_inputs(lambda g: (g.normal(size=(20, 3)), g.uniform(0.2, 3))),
     ),
+    "07.4": Exercise(
+        "total(pixels, regions, cameras): the standard deviation that these three parts give "
+        "together. The part of the image regions contains that of the pixels.",
+        lambda pixels, regions, cameras: np.hypot(regions, cameras),
+        (
+            (
+                lambda pixels, regions, cameras: np.sqrt(pixels**2 + regions**2 + cameras**2),
+                "The pixel noise is counted twice: the part of the image regions contains it.",
+            ),
+            (
+                lambda pixels, regions, cameras: regions + cameras,
+                "Variances of independent errors add up, not standard deviations.",
+            ),
+            (
+                lambda pixels, regions, cameras: np.hypot(pixels, cameras),
+                "This leaves out the errors that the matches of a region share.",
+            ),
+        ),
+        random_inputs(lambda g: tuple(g.uniform(0.01, 0.2, 3))),
+    ),
 }

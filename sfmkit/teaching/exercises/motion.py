@@ -89,4 +89,27 @@ EXERCISES: dict[str, Exercise] = {
             ),
         ),
     ),
+    "05.5": Exercise(
+        "shifted(R, t, s): the translation of the motion that explains the matches if every point "
+        "X is matched with its copy at X + s, given in the frame of camera 1.",
+        lambda R, t, s: t + R @ s,
+        (
+            (
+                lambda R, t, s: t + s,
+                "s is a vector in the axes of camera 1, t in those of camera 2. Rotate s.",
+            ),
+            (
+                lambda R, t, s: t + R.T @ s,
+                "R already maps the axes of camera 1 to those of camera 2; do not transpose it.",
+            ),
+            (
+                lambda R, t, s: t - R @ s,
+                "The sign is wrong: camera 2 sees the copy at X + s, so X2 = R (X + s) + t.",
+            ),
+            (lambda R, t, s: t, "This is the true motion, which explains the matches without s."),
+        ),
+        random_inputs(
+            lambda g: (rotation(g), unit(g.normal(size=3)), g.normal(size=3)),
+        ),
+    ),
 }
