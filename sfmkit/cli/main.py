@@ -28,6 +28,7 @@ COMMANDS = {
     "matchers": ("matchers", "matchers"),
     "inspect": ("inspect", "inspect"),
     "view": ("inspect", "view"),
+    "page": ("page", "page"),
     "data": ("data", "data"),
     "lab": ("lab", "lab"),
     "marks": ("marks", "marks"),

@@ -1,6 +1,7 @@
 """Results as files: output folders, tables, HTML pages, LaTeX."""
 
 from .html import find_results, write_report
+from .inspection import write_inspector
 from .latex import latex_table
 from .outputs import write_outputs
 from .result import Column, Result, ResultFigure, ResultTable, read_result, write_result
@@ -13,6 +14,7 @@ __all__ = [
     "find_results",
     "latex_table",
     "read_result",
+    "write_inspector",
     "write_outputs",
     "write_report",
     "write_result",

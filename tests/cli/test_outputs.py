@@ -40,6 +40,7 @@ WRITING = {
     "ablate": ["--data", "no-pairs.json"],
     "ablate merge": ["no-shard"],
     "report": ["results"],
+    "page": ["results"],
 }
 COMMANDS = {name for name, c in commands().items() if any("--out" in p.opts for p in c.params)}
 
@@ -59,7 +60,7 @@ def test_outputs_are_checked_before_the_work(name, tmp_path, monkeypatch):
         "file/below": "is not a folder",
         "a" * 256: "at most 255",
         "a/" * 2500: "too long",
-        **({"results": "is a folder"} if name == "report" else {"file": "is a file"}),
+        **({"results": "is a folder"} if name in ("report", "page") else {"file": "is a file"}),
         **({"/proc/no/o": "cannot be written"} if sys.platform == "linux" else {}),
     }
     for out, reason in bad.items():

@@ -1,0 +1,35 @@
+"""``sfmkit page``: a recording as one HTML page that answers clicks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["page"]
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The page to write.  [default: inspect.html beside the recording]",
+)
+@click.option(
+    "--prefix",
+    default="",
+    metavar="PATH",
+    help="Entity path below which the reconstruction was logged, if not the root.",
+)
+def page(recording: Path, out: Path | None, prefix: str) -> None:
+    """Write one self-contained HTML page of a recording (.rrd), or of a folder with one.
+
+    A click on a keypoint, match or point shows how it was found and what became of it.
+    """
+    from ..reports.inspection import write_inspector
+
+    prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
+    path = write_inspector(recording, out, prefix)
+    size = path.stat().st_size / 2**20
+    click.echo(f"{path}: {size:.1f} MiB, for any browser; no network is needed")
