@@ -184,11 +184,16 @@ function render({ model, el }) {
       ? "image 2: click or drag" : "image 2, the cloud as camera 2 sees it: click or drag";
   }
 
-  // The cloud as camera 2 sees it.
+  // The cloud as camera 2 sees it. Image 1 has no canvas to draw.
+  left.canvas.style.visibility = "hidden";
+  let empty = true;
   function drawPoints(seen) {
     const context = right.canvas.getContext("2d");
-    context.clearRect(0, 0, right.canvas.width, right.canvas.height);
-    if (state.shown === "photograph") return;
+    // A canvas that is cleared is painted again, also where it was empty.
+    if (!empty) context.clearRect(0, 0, right.canvas.width, right.canvas.height);
+    empty = state.shown === "photograph";
+    right.canvas.style.visibility = empty ? "hidden" : "";
+    if (empty) return;
     seen.forEach((x, n) => {
       if (x === null) return;
       context.fillStyle = colours[n];
