@@ -75,6 +75,11 @@ def test_clicks_are_answered_as_by_the_library(made):
         page.fill("#point", "7")
         page.click("#go button")
         assert shown() == str(match_life(tables, 7))
+        ties = [0.25, 0.75, -0.25, 2.5, 3.5, -2.5, 0.125, 1234.5]
+        rounded = page.evaluate(
+            "(v) => v.map((x) => [fixed(x, 0), fixed(x, 1), fixed(x, 2)])", ties
+        )
+        assert rounded == [[f"{x:.0f}", f"{x:.1f}", f"{x:.2f}"] for x in ties]
         page.evaluate("document.getElementById('life').textContent = ''")
         page.locator("#scene").scroll_into_view_if_needed()
         at = page.evaluate("placed.filter(([, n]) => n === 20)[0][0].slice(0, 2)")

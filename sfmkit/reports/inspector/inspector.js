@@ -13,12 +13,19 @@ const matches = table(data.matches);
 const points = table(data.points);
 const element = (id) => document.getElementById(id);
 
+// As Python rounds: ties to the even digit. The product is exact for float32 and up to four digits.
+function fixed(value, digits) {
+  const scaled = Math.abs(value) * 10 ** digits;
+  if (scaled % 1 !== 0.5) return value.toFixed(digits);
+  return ((Math.sign(value) * 2 * Math.round(scaled / 2)) / 10 ** digits).toFixed(digits);
+}
+
 // Python's str.format for the specifications "", ",", ".Nf" and ",.Nf".
 function words(name, values) {
   return data.words[name].replace(/\{(\w+)(?::(,)?(?:\.(\d+)f)?)?\}/g, (_, key, comma, digits) => {
     const value = values[key];
     if (digits === undefined && !comma) return String(value);
-    const [whole, rest] = (digits === undefined ? String(value) : value.toFixed(+digits)).split(".");
+    const [whole, rest] = (digits === undefined ? String(value) : fixed(value, +digits)).split(".");
     const grouped = comma ? whole.replace(/\B(?=(\d{3})+$)/g, ",") : whole;
     return rest === undefined ? grouped : `${grouped}.${rest}`;
   });
