@@ -202,7 +202,7 @@ def record(args: argparse.Namespace) -> None:
             continue
         sides = {
             kind: [
-                (cache.get(kind, key), cache.path(kind, key).stat().st_size / 1e6) for key in keys
+                (cache.get(kind, key), len(cache.get_bytes(kind, key) or b"") / 1e6) for key in keys
             ]
             for kind, keys in (("features", detections), ("matches", matches))
         }

@@ -2,37 +2,36 @@
 
 A key is the digest of everything that a result depends on (the image's bytes, the operator, its
 options, the version of the code), so an entry is never out of date, and two processes that write
-the same key write the same thing. Files appear whole by renaming; a reader needs no lock. The
-folder is bounded: what was used longest ago goes first.
+the same key write the same thing. Objects appear whole (:mod:`~.objects`); a reader needs no lock.
+The size is bounded: what was used longest ago is removed first.
 """
 
 from __future__ import annotations
 
 import os
 import secrets
-import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePosixPath
 
 from ..errors import InputError, OutputError
 from .entry import DamagedEntry, Entry
+from .objects import Found, open_objects
 
 VARIABLE = "SFMKIT_CACHE"
 DEFAULT_LIMIT = 8 << 30  # bytes
 KINDS = ("features", "matches", "estimates", "geometries", "pairs")
-_LEFTOVER_S = 3600.0  # temporary files older than this belong to nobody who lives
 _ROOM = 0.9  # of the limit is left after tidying, so that it is not done for every file
 
 
-def cache_folder() -> Path:
+def default_cache() -> str:
     """``SFMKIT_CACHE``, or ``stages`` in the user's cache folder of sfmkit."""
     if os.environ.get(VARIABLE):
-        return Path(os.environ[VARIABLE])
+        return os.environ[VARIABLE]
     from ..datasets.pair import download_folder
 
-    return download_folder() / "stages"
+    return str(download_folder() / "stages")
 
 
 @dataclass(frozen=True)
@@ -51,38 +50,74 @@ class Stats:
 
 
 class Cache:
-    """Entries below a folder, ``KIND/ab/abcdef....npz``.
+    """Entries in a folder or an object store, ``KIND/ab/abcdef....npz``.
 
     Args:
-        folder: made when something is first put in.
+        location: Folder, made when something is first put in; or a URL that fsspec opens.
         limit: bytes; beyond them :meth:`tidy` drops what was used longest ago.
+
+    Raises:
+        InputError: The limit is not positive, or the URL cannot be opened.
     """
 
-    def __init__(self, folder: str | os.PathLike, limit: int = DEFAULT_LIMIT):
+    def __init__(self, location: str | os.PathLike, limit: int = DEFAULT_LIMIT):
         if limit <= 0:
             raise InputError(f"the cache's limit must be positive bytes, not {limit}")
-        self.folder, self.limit = Path(folder), limit
+        self._objects, self.limit = open_objects(location), limit
 
-    def path(self, kind: str, key: str) -> Path:
-        return self.folder / kind / key[:2] / f"{key}.npz"
+    @property
+    def location(self) -> str:
+        """The absolute folder or the URL."""
+        return self._objects.location
+
+    def check(self, local_workers: bool) -> None:
+        """Check before the work that the cache can be written, and that its workers can see it.
+
+        Args:
+            local_workers: Whether the workers are other processes of this machine.
+
+        Raises:
+            InputError, OutputError: It is not so.
+        """
+        if local_workers and not self._objects.shared:
+            raise InputError(
+                f"the cache {self.location} exists in one process only, and the local workers are "
+                "other processes; choose a folder or an object store"
+            )
+        self._objects.check()
+
+    @contextmanager
+    def token(self) -> Iterator[str]:
+        """Store an object for a moment, by whose name others test that they see this cache."""
+        name = f"token-{secrets.token_hex(8)}"
+        with self._writing():
+            self._objects.write(name, b"")
+        try:
+            yield name
+        finally:
+            with suppress(OSError):
+                self._objects.remove(name)
+
+    def sees(self, token: str) -> bool:
+        """Return whether this is the cache of a token."""
+        try:
+            return self._objects.has(token)
+        except OSError:
+            return False
+
+    @staticmethod
+    def name(kind: str, key: str) -> str:
+        """The name of the object of an entry, relative to the location."""
+        return f"{kind}/{key[:2]}/{key}.npz"
 
     def has(self, kind: str, key: str) -> bool:
-        return self.path(kind, key).is_file()
+        with self._reading(kind, key):
+            return self._objects.has(self.name(kind, key))
 
     def get_bytes(self, kind: str, key: str) -> bytes | None:
         """What is stored, unread, or None. Counts as use."""
-        path = self.path(kind, key)
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise OutputError(
-                f"the cache file {path} cannot be read: {error.strerror or error}"
-            ) from error
-        with suppress(OSError):
-            os.utime(path)
-        return data
+        with self._reading(kind, key):
+            return self._objects.read(self.name(kind, key))
 
     def get(self, kind: str, key: str, warn: Callable[[str], None] | None = None) -> Entry | None:
         """The entry, or None where there is none. A damaged one is removed, said to `warn`, and
@@ -104,41 +139,48 @@ class Cache:
     def put_bytes(self, kind: str, key: str, data: bytes) -> None:
         """Store an entry, in one piece or not at all.
 
-        Not synchronised to the disk: what a power failure damages is found out and made again.
-
         Raises:
-            OutputError: the folder cannot be written or the disk is full.
+            OutputError: the cache cannot be written or the disk is full.
         """
-        path = self.path(kind, key)
-        temporary = path.with_name(f".{key}.{secrets.token_hex(4)}.tmp")
+        with self._writing():
+            self._objects.write(self.name(kind, key), data)
+
+    def drop(self, kind: str, key: str) -> None:
+        with suppress(OSError):
+            self._objects.remove(self.name(kind, key))
+
+    def _entries(self) -> Iterator[tuple[str, Found]]:
+        for kind in KINDS:
+            with self._reading(kind, ""):
+                for found in self._objects.find(kind):
+                    yield kind, found
+
+    @contextmanager
+    def _reading(self, kind: str, key: str) -> Iterator[None]:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(data)
-            temporary.replace(path)
+            yield
         except OSError as error:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
             raise OutputError(
-                f"the cache {self.folder} cannot be written: {error.strerror or error}; make "
+                f"{self.name(kind, key) if key else kind} in the cache {self.location} cannot be "
+                f"read: {error.strerror or error}"
+            ) from error
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(
+                f"the cache {self.location} cannot be written: {error.strerror or error}; make "
                 "room or choose another "
                 f"with --cache or {VARIABLE}, and start again: nothing that was done is lost"
             ) from error
 
-    def drop(self, kind: str, key: str) -> None:
-        with suppress(OSError):
-            self.path(kind, key).unlink(missing_ok=True)
-
-    def _files(self) -> Iterator[tuple[str, Path, os.stat_result]]:
-        for kind in KINDS:
-            for file in (self.folder / kind).glob("*/*.npz"):
-                with suppress(OSError):  # another process has just removed it
-                    yield kind, file, file.stat()
-
     def stats(self) -> Stats:
         kinds = dict.fromkeys(KINDS, (0, 0))
-        for kind, _, stat in self._files():
+        for kind, found in self._entries():
             n, size = kinds[kind]
-            kinds[kind] = (n + 1, size + stat.st_size)
+            kinds[kind] = (n + 1, size + found.nbytes)
         return Stats(kinds)
 
     def verify(self, progress: Callable[[int], None] | None = None) -> tuple[int, list[str]]:
@@ -148,12 +190,13 @@ class Cache:
             how many were read, and a line for each that was damaged.
         """
         n, damaged = 0, []
-        for kind, file, _ in list(self._files()):
-            key = file.stem
+        for kind, found in list(self._entries()):
+            key = PurePosixPath(found.name).stem
             try:
-                Entry.from_bytes(file.read_bytes(), key)
-            except FileNotFoundError:
-                continue
+                data = self._objects.read(found.name)
+                if data is None:  # another process has just removed it
+                    continue
+                Entry.from_bytes(data, key)
             except (DamagedEntry, OSError) as error:
                 damaged.append(f"{kind}/{key[:12]}: {error}")
                 self.drop(kind, key)
@@ -165,30 +208,23 @@ class Cache:
     def tidy(self) -> int:
         """Drop what was used longest ago until the rest fits, and what crashed writers left.
         Returns bytes freed."""
-        for file in self.folder.glob("*/*/.*.tmp"):
-            with suppress(OSError):
-                if time.time() - file.stat().st_mtime > _LEFTOVER_S:
-                    file.unlink()
-        files = list(self._files())
-        size, freed = sum(stat.st_size for *_, stat in files), 0
+        self._objects.sweep()
+        entries = [found for _, found in self._entries()]
+        size, freed = sum(found.nbytes for found in entries), 0
         if size <= self.limit:
             return 0
-        for _, file, stat in sorted(files, key=lambda f: f[2].st_mtime):
+        for found in sorted(entries, key=lambda found: found.used):
             if size - freed <= _ROOM * self.limit:
                 break
             with suppress(OSError):
-                file.unlink()
-                freed += stat.st_size
+                self._objects.remove(found.name)
+                freed += found.nbytes
         return freed
 
     def clear(self) -> Stats:
         """Drop everything; returns what there was."""
         before = self.stats()
-        for kind in KINDS:
-            for file in (self.folder / kind).glob("*/*"):
-                with suppress(OSError):
-                    file.unlink()
-            for folder in [*(self.folder / kind).glob("*"), self.folder / kind]:
-                with suppress(OSError):
-                    folder.rmdir()
+        for _, found in list(self._entries()):
+            with suppress(OSError):
+                self._objects.remove(found.name)
         return before

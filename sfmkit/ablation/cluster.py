@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from ..errors import InputError, OutputError
+from .cache import Cache
 from .engines import ATTEMPTS, died
 from .tasks import Task
 from .version import engine_version
@@ -100,10 +101,31 @@ class DaskEngine:
                         "same version everywhere"
                     )
             if answers:
+                self._check_cache(list(answers))
                 return
             if time.monotonic() > deadline:
                 raise InputError(
                     f"the workers of the Dask cluster at {self._address} die before they answer"
+                )
+
+    def _check_cache(self, workers: list[str]) -> None:
+        """Check that workers see the cache.
+
+        Raises:
+            InputError: One of them does not.
+        """
+        if self._setup.cache is None:
+            return
+        with Cache(self._setup.cache).token() as token:
+            found = self._client.run(
+                _sees, self._setup.cache, token, workers=workers, on_error="return"
+            )
+        for worker, answer in found.items():
+            if answer is False or isinstance(answer, InputError):
+                raise InputError(
+                    f"the worker {worker} does not see the cache {self._setup.cache}"
+                    f"{f' ({answer})' if answer else ''}; choose a folder or a URL that all "
+                    "machines see, or let results travel (--ship bytes)"
                 )
 
     @property
@@ -207,6 +229,11 @@ def _reach(address: str) -> None:
 
     with ThreadPoolExecutor(1) as thread:
         thread.submit(lambda: asyncio.run(reach())).result()
+
+
+def _sees(cache: str, token: str) -> bool:
+    """Return whether this process sees the cache of a token."""
+    return Cache(cache).sees(token)
 
 
 def _perform(

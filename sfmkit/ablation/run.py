@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .._utils.progress import Progress
-from .._utils.writing import check_folder
 from ..datasets import Pair
 from ..errors import InputError, OutputError
-from .cache import DEFAULT_LIMIT, Cache, cache_folder
+from .cache import DEFAULT_LIMIT, Cache, default_cache
 from .engines import Engine, LocalEngine
 from .entry import DamagedEntry, Entry
 from .folder import SweepFolder
@@ -113,7 +112,7 @@ def ablate(
         scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.
         ship: whether the cluster's workers see our files (``path``: images and cache), or images
             travel to them and arrays back (``bytes``).
-        cache: folder; None: :func:`~.cache.cache_folder`.
+        cache: Folder, or a URL that fsspec opens; None: :func:`~.cache.default_cache`.
         cache_limit: bytes of the cache.
         shard: (i, n): only part i of n of the pairs; :func:`sfmkit.ablation.merge.merge_shards`
             merges the folders of all parts.
@@ -153,8 +152,8 @@ def ablate(
         return AblationTable(table.data)
     watch: Watcher = progress or (lambda _: None)
     watch(SweepState("plan", what="loading"))
-    store = Cache(Path(cache) if cache is not None else cache_folder(), cache_limit)
-    check_folder(store.folder)
+    store = Cache(default_cache() if cache is None else cache, cache_limit)
+    store.check(local_workers=scheduler is None)
     folder = SweepFolder(out)
     with folder.locked():
         plan = make_plan(
@@ -176,7 +175,7 @@ def ablate(
         store.tidy()
         setup = Setup(
             engine_version(),
-            None if ship == "bytes" else str(store.folder.resolve()),
+            None if ship == "bytes" else store.location,
             plan.plugins,
         )
 

@@ -95,8 +95,8 @@ from .progress import resumable
 )
 @click.option(
     "--cache",
-    type=click.Path(path_type=Path),
-    help="Folder; default: SFMKIT_CACHE, or the user's cache.",
+    metavar="FOLDER|URL",
+    help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's cache.",
 )
 @click.option(
     "--cache-size",
@@ -151,7 +151,7 @@ def run(
     scheduler: str | None,
     ship: Any,
     wait: float,
-    cache: Path | None,
+    cache: str | None,
     cache_size: int,
     root: Path | None,
     shard: tuple[int, int] | None,
@@ -217,7 +217,7 @@ def print_plan(
     data: tuple[str, ...],
     operators: tuple[str, ...],
     sweep: dict[str, Any],
-    cache: Path | None,
+    cache: str | None,
     workers: int | None,
 ) -> None:
     """Print what a sweep would do, for ``--dry-run``."""
@@ -227,11 +227,11 @@ def print_plan(
     from rich.table import Table
 
     from ..ablation import make_plan
-    from ..ablation.cache import Cache, cache_folder
+    from ..ablation.cache import Cache, default_cache
     from ..ablation.watching import duration
     from .progress import progress
 
-    store = Cache(cache or cache_folder())
+    store = Cache(cache or default_cache())
     with progress(enabled=True) as say:
         plan = make_plan(data, operators, **sweep, cache=store, say=say)
         counts = plan.count(store)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 CACHE = click.option(
     "--cache",
-    type=click.Path(path_type=Path),
-    help="Folder; default: SFMKIT_CACHE, or the user's cache.",
+    metavar="FOLDER|URL",
+    help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's cache.",
 )
 
 
@@ -19,19 +17,19 @@ def cache() -> None:
     them."""
 
 
-def _open(folder: Path | None):
-    from ..ablation.cache import Cache, cache_folder
+def _open(location: str | None):
+    from ..ablation.cache import Cache, default_cache
 
-    return Cache(folder or cache_folder())
+    return Cache(location or default_cache())
 
 
 @cache.command()
 @CACHE
-def stats(cache: Path | None) -> None:
+def stats(cache: str | None) -> None:
     """How many results there are, and how large they are."""
     store = _open(cache)
     found = store.stats()
-    click.echo(f"{store.folder}")
+    click.echo(f"{store.location}")
     for kind, (n, size) in found.kinds.items():
         click.echo(f"  {kind:<10} {n:>9,}  {size / 1e6:>10,.1f} MB")
     click.echo(f"  {'all':<10} {found.entries:>9,}  {found.nbytes / 1e6:>10,.1f} MB")
@@ -39,7 +37,7 @@ def stats(cache: Path | None) -> None:
 
 @cache.command()
 @CACHE
-def verify(cache: Path | None) -> None:
+def verify(cache: str | None) -> None:
     """Read every result and compare its checksums. Damaged ones are removed; exit status 2 if there
     were any."""
     from ..errors import InputError
@@ -55,19 +53,19 @@ def verify(cache: Path | None) -> None:
             f"{len(damaged)} of {n:,} results were damaged and are removed; they are made again "
             "when needed"
         )
-    click.echo(f"{n:,} results are sound, in {store.folder}")
+    click.echo(f"{n:,} results are sound, in {store.location}")
 
 
 @cache.command()
 @CACHE
 @click.option("--yes", is_flag=True, help="Do not ask.")
-def clear(cache: Path | None, yes: bool) -> None:
+def clear(cache: str | None, yes: bool) -> None:
     """Remove all results. Only time is lost."""
     store = _open(cache)
     found = store.stats()
     if found.entries and not yes:
         click.confirm(
-            f"remove {found.entries:,} results, {found.nbytes / 1e6:,.1f} MB, in {store.folder}?",
+            f"remove {found.entries:,} results, {found.nbytes / 1e6:,.1f} MB, in {store.location}?",
             abort=True,
         )
     store.clear()

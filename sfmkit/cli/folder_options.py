@@ -112,8 +112,9 @@ _OPTIONS = (
     ),
     click.option(
         "--cache",
-        type=click.Path(path_type=Path),
-        help="Folder; default: SFMKIT_CACHE, or the user's cache.",
+        metavar="FOLDER|URL",
+        help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's "
+        "cache.",
     ),
     click.option(
         "--cache-size",

@@ -6,14 +6,13 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
 from .._utils.progress import Progress
 from ..ablation.batch import BatchState, run_batch
-from ..ablation.cache import DEFAULT_LIMIT, Cache, cache_folder
+from ..ablation.cache import DEFAULT_LIMIT, Cache, default_cache
 from ..ablation.engines import Engine, LocalEngine
 from ..ablation.entry import Entry
 from ..ablation.plan import cost
@@ -65,12 +64,12 @@ class Workshop:
         progress: Watcher | None = None,
     ) -> Workshop:
         """The workshop of these settings; without `cache`, that of ablations."""
-        store = Cache(Path(cache) if cache is not None else cache_folder(), cache_limit)
+        store = Cache(default_cache() if cache is None else cache, cache_limit)
         return cls(store, workers, scheduler, watch=progress or (lambda state: None))
 
     def run(self, stage: str, tasks: Iterator[Task], total: int, cost_s: float, recipe: Recipe):
         """Carry out tasks; returns key -> reason of those that failed."""
-        setup = Setup(engine_version(), str(self.cache.folder.resolve()), recipe.foreign_plugins)
+        setup = Setup(engine_version(), self.cache.location, recipe.foreign_plugins)
 
         def start() -> Engine:
             if self.scheduler is None:
@@ -264,6 +263,7 @@ def match_folder(
         OutputError: The disk is full, or the cache cannot be written.
     """
     workshop = workshop or Workshop.of()
+    workshop.cache.check(local_workers=workshop.scheduler is None)
     recipe = make_recipe(
         operators, options=options, matchers=matchers, descriptor=descriptor, seed=seed
     )

@@ -42,12 +42,12 @@ def test_what_is_put_in_comes_out(tmp_path):
 def test_nothing_in_it_is_pickled(tmp_path):
     cache, e = Cache(tmp_path), entry()
     cache.put("features", e)
-    with zipfile.ZipFile(cache.path("features", e.key)) as archive:
+    with zipfile.ZipFile(tmp_path / cache.name("features", e.key)) as archive:
         for name in archive.namelist():
             assert archive.read(name).startswith(b"\x93NUMPY")
             assert b"|O" not in archive.read(name)[:128]
     with pytest.raises(ValueError):
-        list(pickletools.genops(cache.path("features", e.key).read_bytes()))
+        list(pickletools.genops((tmp_path / cache.name("features", e.key)).read_bytes()))
     objects = Entry("k", {}, {"x": np.array([{}], dtype=object)}).to_bytes()
     with pytest.raises(
         DamagedEntry
@@ -59,7 +59,7 @@ def test_nothing_in_it_is_pickled(tmp_path):
 def test_a_flipped_byte_is_noticed_said_and_removed(tmp_path, place):
     cache, e = Cache(tmp_path), entry()
     cache.put("features", e)
-    path = cache.path("features", e.key)
+    path = tmp_path / cache.name("features", e.key)
     data = bytearray(path.read_bytes())
     data[int(place * len(data))] ^= 0xFF
     path.write_bytes(bytes(data))
@@ -87,7 +87,7 @@ def test_bytes_with_a_right_digest_that_are_not_an_entry(content):
 def test_a_cut_off_entry_is_noticed(tmp_path):
     cache, e = Cache(tmp_path), entry()
     cache.put("matches", e)
-    path = cache.path("matches", e.key)
+    path = tmp_path / cache.name("matches", e.key)
     path.write_bytes(path.read_bytes()[:-40])
     assert cache.get("matches", e.key) is None
 
@@ -103,7 +103,7 @@ def test_verify_finds_and_drops_what_is_damaged(tmp_path):
     cache = Cache(tmp_path)
     for k in range(5):
         cache.put("features", entry(f"{k:040x}"))
-    cache.path("features", f"{3:040x}").write_bytes(b"rubbish")
+    (tmp_path / cache.name("features", f"{3:040x}")).write_bytes(b"rubbish")
     n, damaged = cache.verify()
     assert (n, len(damaged)) == (5, 1)
     assert cache.verify() == (4, [])
@@ -114,7 +114,7 @@ def test_it_stays_below_its_limit_and_drops_the_least_recently_used(tmp_path):
     cache = Cache(tmp_path, limit=6 * size)
     for k in range(10):
         cache.put("features", entry(f"{k:040x}"))
-        os.utime(cache.path("features", f"{k:040x}"), (1e9 + k, 1e9 + k))
+        os.utime(tmp_path / cache.name("features", f"{k:040x}"), (1e9 + k, 1e9 + k))
     cache.get("features", f"{0:040x}")  # the oldest is used, and so the youngest
     assert cache.tidy() >= 4 * size
     left = {int(f.stem, 16) for f in tmp_path.rglob("*.npz")}

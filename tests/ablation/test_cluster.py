@@ -139,6 +139,19 @@ def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed_in_mid_sweep(tr
     assert table.results() == truth.results()
 
 
+def test_workers_that_do_not_see_the_cache_are_refused(tmp_path):
+    with (
+        loopback(tmp_path, workers=1) as cluster,
+        pytest.raises(InputError, match="does not see the cache memory://"),
+    ):
+        ablate(
+            pairs(tmp_path / "images", 1, 0),
+            ["orb"],
+            cache="memory://alone",
+            scheduler=cluster.address,
+        )
+
+
 @pytest.mark.slow
 def test_workers_that_share_no_files_get_images_as_bytes_and_lose_scattered_arrays_with_a_worker(
     truth, tmp_path

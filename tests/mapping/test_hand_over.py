@@ -184,7 +184,7 @@ def test_the_map_command_writes_a_model_that_everything_reads(matched, data_dir,
     out = tmp_path / "o"
     command = ["map", str(matched.plan.collection.folder), "--out", str(out), "--max-size", "640"]
     command += ["--intrinsics", str(data_dir / "strecha/fountain-P11/images/K.txt")]
-    command += ["--budget", "2000", "--cache", str(matched.cache.folder), "--workers", "1"]
+    command += ["--budget", "2000", "--cache", matched.cache.location, "--workers", "1"]
     done = CliRunner().invoke(main, command)
     assert done.exit_code == 0, done.output
     assert "4 of 4 photographs registered" in done.output
