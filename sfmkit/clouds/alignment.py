@@ -277,7 +277,9 @@ def _gauss_newton(
     g = across.T @ (weight * (normal * r).sum(1)) + _ALONG**2 * np.einsum(
         "n,nij,ni->j", weight, J, r, optimize=True
     )
-    turn, shift, growth = np.split(np.linalg.solve(A, g), (3, 6))
+    # Points that do not determine all unknowns, such as coincident ones, move least.
+    step, *_ = np.linalg.lstsq(A, g, rcond=None)
+    turn, shift, growth = np.split(step, (3, 6))
     R = Rotation.from_rotvec(turn / size).as_matrix()
     s = float(np.exp(growth[0] / size))
     return _similarity(s, R, shift + centre - s * R @ centre)

@@ -19,7 +19,7 @@ from ..geometry import kernels
 from ..geometry.fundamental import fundamental_8point
 from ..geometry.homography import homography_dlt
 from ..geometry.lie import hat
-from ..geometry.losses import marginal_weight
+from ..geometry.loss_kernels import marginal_weight
 from ..geometry.refinement import Bearings, Objective, bearings, minimise
 
 Rows = Tensor | slice

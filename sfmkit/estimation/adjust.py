@@ -12,7 +12,7 @@ from ..errors import DegenerateGeometryError
 from ..geometry.bundle import bundle_adjust
 from ..geometry.essential import essential_from_pose
 from ..geometry.fundamental import fundamental_from_essential
-from ..geometry.losses import Loss
+from ..geometry.loss_kernels import Loss
 from ..geometry.uncertainty import covariance, sigma_degrees
 from ..types import Correspondences, TwoView
 from .pose_uncertainty import pose_uncertainty

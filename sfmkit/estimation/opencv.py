@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..geometry.coordinates import denormalize, normalize
 from ..geometry.fundamental import fundamental_from_essential, squared_sampson_distance
 from ..geometry.homography import squared_homography_sampson_distance
-from ..geometry.losses import marginal_score
+from ..geometry.loss_kernels import marginal_score
 from .result import RobustModel, check_model, supported
 
 METHODS = {

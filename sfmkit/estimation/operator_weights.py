@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry.losses import Loss
+from ..geometry.loss_kernels import Loss
 from ..geometry.pose import rotation_error, translation_error
 from ..geometry.refinement import refine_essential
 from ..types import Correspondences

@@ -17,7 +17,7 @@ from ..geometry.block_covariance import (
     point_covariances,
     point_derivatives,
 )
-from ..geometry.losses import Loss
+from ..geometry.loss_kernels import Loss
 from ..geometry.uncertainty import Uncertainty, sigma_degrees
 from ..types import Camera
 

@@ -21,7 +21,7 @@ from .._utils.threads import one_thread
 from ..errors import InputError
 from ..geometry.checks import check_points
 from ..geometry.fundamental import fundamental_from_essential, signed_sampson_distance
-from ..geometry.losses import marginal_score
+from ..geometry.loss_kernels import marginal_score
 from ..types import Improvement
 from ._agreement import disagreement
 from ._problems import ALL, EssentialProblem, FundamentalProblem, HomographyProblem, SearchProblem

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from ._rays import Vector, components, cross, dot, rotated_ray
 from .lie import so3_exp, sphere_exp, tangent_basis
-from .losses import Loss, LossTerms, loss_terms
+from .loss_kernels import Loss, LossTerms, loss_terms
 
 Focal = Literal["fixed", "shared", "separate"]
 Pair = tuple[Tensor, Tensor]

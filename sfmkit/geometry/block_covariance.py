@@ -32,7 +32,7 @@ from .checks import (
 )
 from .coordinates import inverse_intrinsics, normalize, to_homogeneous
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
-from .losses import Loss, loss_terms
+from .loss_kernels import Loss, loss_terms
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 

@@ -14,7 +14,7 @@ from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquard
 from ._two_view_problem import FREE_FOCALS, Focal, Problem, State, linearise, settle_points
 from .checks import _traced, check_intrinsics, check_points
 from .kernels import normalize
-from .losses import Loss
+from .loss_kernels import Loss
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 

@@ -216,6 +216,8 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
     check_intrinsics(H, K1=K1, K2=K2)
     check_invertible(H=H)
     A = kernels.inverse_intrinsics(K2.double()) @ H.double() @ K1.double()
+    A = A / A.abs().amax((-2, -1), keepdim=True)  # the squares of large values overflow
+    check_invertible(H=A)
     scale0, R0, t0, n0, inverse = detached(_decompose, A)
     basis = tangent_basis(n0)
     step = torch.zeros_like(inverse[..., 0])
@@ -277,4 +279,6 @@ def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     turn = t4[..., None, :, None] * tangent_basis(n4).mT[..., :, None, :]
     size = -A[..., None, None, :, :].expand(*turn.shape[:-3], 1, 3, 3)
     J = torch.cat((rotation, translation, turn, size), -3).flatten(-2).mT
+    if not _traced() and not bool(J.isfinite().all()):
+        raise DegenerateGeometryError("H is singular up to rounding")
     return scale[..., None].expand(t4.shape[:-1]), R4, t4, n4, torch.linalg.pinv(J, rtol=1e-7)

@@ -20,7 +20,7 @@ from ._levenberg_marquardt import Minimised, Schedule, Trial, levenberg_marquard
 from .checks import _traced, check_matrices, check_points, check_scale
 from .coordinates import to_homogeneous
 from .kernels import hartley
-from .losses import LossTerms, loss_terms
+from .loss_kernels import LossTerms, loss_terms
 
 _TOLERANCE = 1e-12  # of the cost: the predicted gain at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
@@ -71,7 +71,8 @@ def refine_homography(
     check_scale(threshold_px=threshold_px)
     batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
     dtype = x1.dtype
-    H, x1, x2 = H.detach().double().expand(*batch, 3, 3), x1.double(), x2.double()
+    H = H.detach().double().expand(*batch, 3, 3)
+    x1, x2 = (x.double().expand(*batch, *x.shape[-2:]) for x in (x1, x2))
     w = torch.ones_like(x1[..., 0]) if weights is None else weights.double()
     if x1.shape[-2] < _LEAST_MATCHES or max_iterations < 1:
         return (H / H[..., 2:, 2:]).to(dtype)

@@ -19,7 +19,7 @@ from .checks import check_intrinsics, check_points
 from .coordinates import to_homogeneous
 from .kernels import inverse_intrinsics, normalize
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
-from .losses import Loss, LossTerms, loss_terms
+from .loss_kernels import Loss, LossTerms, loss_terms
 from .pose import check_pose
 
 _TOLERANCE = 1e-14  # of the cost: the predicted decrease at convergence

@@ -42,6 +42,11 @@ def project(
         raise InputError(f"X must have shape (*B, N, 3) or (*B, N, 4), not {tuple(X.shape)}")
     check_points(X=X, dim=X.shape[-1])
     check_intrinsics(X, K=K)
+    batches = {"X": X.shape[:-2], "K": K.shape[:-2]}
+    for name, a, dims in (("R", R, 2), ("t", t, 1), ("distortion", distortion, 1)):
+        if a is not None:
+            batches[name] = a.shape[:-dims]
+    check_batches(**batches)
     Y = X[..., :3]
     if R is not None:
         check_matrices(X, R=R)

@@ -72,6 +72,15 @@ def test_a_batch_and_vmap_agree_with_single_problems():
     assert low.dtype == torch.float32
 
 
+def test_several_starts_share_one_set_of_matches():
+    shift = torch.tensor([[1.0, 0, 2], [0, 1, -1], [0, 0, 1]], dtype=D)
+    starts = torch.stack([START, shift @ START, START @ shift])
+    together = refine_homography(starts, S.x1, S.x2)
+    single = torch.stack([refine_homography(start, S.x1, S.x2) for start in starts])
+    moved = transfer(together, CORNERS.expand(3, 4, 2))
+    torch.testing.assert_close(moved, transfer(single, CORNERS.expand(3, 4, 2)), rtol=0, atol=1e-4)
+
+
 def test_too_few_matches_within_the_threshold_return_the_start_without_derivative():
     x2 = S.x2 + 50
     x2[:7] -= 50
