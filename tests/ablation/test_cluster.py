@@ -139,6 +139,30 @@ def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed_in_mid_sweep(tr
     assert table.results() == truth.results()
 
 
+def test_a_cluster_with_its_cache_in_memory_gives_the_same_rows(truth, tmp_path):
+    """Memory is shared by the threads of one process only, so the workers are threads."""
+    fsspec = pytest.importorskip("fsspec")
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+    ) as cluster:
+        table = ablate(
+            pairs(tmp_path / "images"),
+            OPERATORS,
+            seeds=SEEDS,
+            scheduler=cluster.scheduler_address,
+            cache="memory://cluster",
+        )
+    assert table.results() == truth.results()
+    assert len(fsspec.filesystem("memory").find("/cluster")) >= len(table)
+
+
 def test_workers_that_do_not_see_the_cache_are_refused(tmp_path):
     with (
         loopback(tmp_path, workers=1) as cluster,
