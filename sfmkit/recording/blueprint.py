@@ -20,7 +20,7 @@ _UP = (0, -1, 0)  # the frame of camera 1 has y down
 _FORWARD = np.array([-0.35, 0.42, 0.84])
 _FIELD = np.tan(np.radians(55 / 2))  # half the viewer's vertical field of view
 _ASPECT = 1.25  # width over height of the narrowest 3-D view at 1280 x 800
-LEGEND_SHARE = 10  # a page is this many times higher than its legend
+LEGEND_SHARE = 6  # a page is this many times higher than its legend
 
 
 @dataclass(frozen=True, eq=False)
