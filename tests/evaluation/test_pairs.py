@@ -181,7 +181,7 @@ def test_bad_input_is_refused_before_anything_is_written(listed, tmp_path):
     out = tmp_path / "out"
     for wrong, message in (
         ({"operators": ("no-such",)}, "unknown operator"),
-        ({"operators": ()}, "no operator given"),
+        ({"operators": ()}, "at least one operator"),
         ({"matchers": "no-such"}, "unknown matcher"),
         ({"matchers": {"surf": "nearest"}}, "not used: surf"),
         ({"backend": "no-such"}, "unknown estimator"),

@@ -134,6 +134,12 @@ class Notebook:
         self.page.locator(".lm-MenuBar-itemLabel", has_text=re.compile(f"^{menu}$")).click()
         self.page.locator(".lm-Menu-itemLabel", has_text=re.compile(f"^{item}$")).click()
 
+    def run_again(self, source: str) -> None:
+        """Run the code cell that contains a text."""
+        cell = self.page.locator(".jp-CodeCell", has_text=source).first
+        cell.locator(".jp-InputArea-editor").first.click()
+        self.page.keyboard.press("Control+Enter")
+
     def cells(self) -> list:
         """The code cells of the saved file; JupyterLab may be writing it at the same time."""
         read: list = []
@@ -365,9 +371,14 @@ def test_the_viewer_draws_and_responds_to_a_click_on_a_keypoint(epipolar, bundle
         x0, y0, x1, y1 = found[0]
         return x1 - x0 > 200 and abs((x1 - x0) * h - (y1 - y0) * w) < 4 * w
 
-    assert wait_for(drawn, 400, 1), (
-        f"the viewer shows no photograph: {found} in {canvas.bounding_box()}"
-    )
+    # In some runs JupyterLab does not deliver the messages of the widget: the viewer keeps its
+    # initial 200 x 200 pixels and stays empty. The notebook says to run the cell again then.
+    for _ in range(3):
+        if wait_for(drawn, 100, 1):
+            break
+        epipolar.run_again("recording_viewer(result)")
+    else:
+        pytest.fail(f"the viewer shows no photograph: {found} in {canvas.bounding_box()}")
     corner, scale = np.array(found[0][:2]), (found[0][2] - found[0][0]) / w
     seen: list[np.ndarray] = []
     before, _ = epipolar.explored()

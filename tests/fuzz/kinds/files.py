@@ -198,7 +198,7 @@ def _read_entry(data: bytes, folder: Path) -> None:
     from sfmkit.ablation.cache import Cache
 
     store = Cache(folder / "cache")
-    path = store.path("features", "ab" * 16)
+    path = folder / "cache" / store.name("features", "ab" * 16)
     path.parent.mkdir(parents=True)
     write(path, data)
     store.stats()
