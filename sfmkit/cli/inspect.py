@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from ..errors import InputError
+from .parsing import PREFIX
 
 __all__ = ["inspect", "view"]
 
@@ -51,12 +52,7 @@ RECORDING = click.Path(path_type=Path)
     metavar="OTHER",
     help="Print the differences between RECORDING and OTHER.",
 )
-@click.option(
-    "--prefix",
-    default="",
-    metavar="PATH",
-    help="Entity path below which the reconstruction was logged, if not the root.",
-)
+@PREFIX
 def inspect(
     recording: Path,
     point: int | None,
@@ -85,7 +81,6 @@ def inspect(
     x, y = _pixel(pixel) if pixel is not None else (0.0, 0.0)
     from ..recording import inspection
 
-    prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
     if point is not None:
         answer = inspection.describe_point(recording, point, prefix)
     elif pixel is not None:

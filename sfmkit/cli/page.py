@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from .parsing import PREFIX
+
 __all__ = ["page"]
 
 
@@ -16,12 +18,7 @@ __all__ = ["page"]
     type=click.Path(path_type=Path),
     help="The page to write.  [default: inspect.html beside the recording]",
 )
-@click.option(
-    "--prefix",
-    default="",
-    metavar="PATH",
-    help="Entity path below which the reconstruction was logged, if not the root.",
-)
+@PREFIX
 def page(recording: Path, out: Path | None, prefix: str) -> None:
     """Write one self-contained HTML page of a recording (.rrd), or of a folder with one.
 
@@ -29,7 +26,6 @@ def page(recording: Path, out: Path | None, prefix: str) -> None:
     """
     from ..reports.inspection import write_inspector
 
-    prefix = f"/{prefix.strip('/')}" if prefix.strip("/") else ""
     path = write_inspector(recording, out, prefix)
     size = path.stat().st_size / 2**20
     click.echo(f"{path}: {size:.1f} MiB, for any browser; no network is needed")

@@ -89,3 +89,17 @@ def parse_shard(
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise click.BadParameter(f"{value!r} is not I/N with 1 <= I <= N, such as 2/4")
     return int(found[1]), int(found[2])
+
+
+def entity_prefix(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
+    """``"a/b/"`` as ``"/a/b"``; the root as nothing."""
+    return f"/{value.strip('/')}" if value.strip("/") else ""
+
+
+PREFIX = click.option(
+    "--prefix",
+    default="",
+    metavar="PATH",
+    callback=entity_prefix,
+    help="Entity path below which the reconstruction was logged, if not the root.",
+)

@@ -105,27 +105,13 @@ class Notebook:
         self.page.route(
             lambda url: urlsplit(url).hostname not in (*HERE, None, ""), lambda route: route.abort()
         )
-        self.widgets_restored = False
-        self.page.on("websocket", lambda socket: socket.on("framereceived", self._received))
         # A separate workspace: the default one restores the notebooks of other tests.
         self.page.goto(f"{address}/lab/workspaces/{Path(name).stem}/tree/{name}?token={token}")
         self.page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=120_000)
         # Without a kernel, JupyterLab would open a dialog to select one.
         self.page.wait_for_selector("text=/Python 3.* \\| Idle/", timeout=120_000)
-        # JupyterLab asks a kernel for its widgets when it connects. Where cells are queued before
-        # this request, the page can restore a widget that it already has, and the one that is
-        # shown gets no messages any more: the viewer keeps 200 x 200 pixels and stays empty.
-        assert wait_for(self.has_restored_widgets, PATIENCE_S, 0), "no widgets were restored"
         self.choose("Run", "Run All Cells")
         assert wait_for(self.has_run, PATIENCE_S, 2), "not every cell was run"
-
-    def _received(self, frame: bytes | str) -> None:
-        text = frame if isinstance(frame, bytes) else frame.encode()
-        self.widgets_restored |= b'"comm_info_reply"' in text
-
-    def has_restored_widgets(self) -> bool:
-        self.page.wait_for_timeout(100)  # events are handled in calls of Playwright only
-        return self.widgets_restored
 
     def choose(self, menu: str, item: str) -> None:
         if self.page.locator(".jp-Dialog").count():
