@@ -1,8 +1,8 @@
-"""The mathematics of two views: pure torch functions on tensors ``(*B, N, 2)``.
+"""Geometry of two views: pure torch functions on tensors ``(*B, N, 2)``.
 
-The functions are batched and differentiable, and check their input. kornia computes what it
-computes correctly; ``docs/kornia.md`` lists function by function who computes, and why.
-:mod:`sfmkit.geometry.kernels` holds the unchecked inner loops.
+The functions are batched and differentiable, and check their input. They call kornia where its
+results are correct; ``docs/kornia.md`` states for each function which library computes it, and why.
+:mod:`sfmkit.geometry.kernels` contains the inner loops, which do not check their input.
 """
 
 from .block_covariance import (

@@ -1,7 +1,7 @@
 """The exact Hessian of two-view bundle adjustment, for its implicit derivatives.
 
-It has the same arrow shape as the Gauss-Newton matrix, one small block per point and a border for
-the camera, and is solved by the same elimination of the points.
+The Hessian has the same arrow structure as the Gauss-Newton matrix, with one small block per point
+and a border for the camera. The system is solved by the same elimination of the points.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Hessian(NamedTuple):
 class BundleObjective(NamedTuple):
     """Bundle adjustment over (R, t, log focal scales, points); steps are (camera, points)."""
 
-    problem: Problem  # its data are replaced
+    problem: Problem  # the data of the problem are replaced
 
     def zero(self, unknowns: Tensors) -> Tensors:
         _, t, _, y = unknowns
@@ -70,7 +70,7 @@ def hessian(state: State, problem: Problem) -> Hessian:
 
 
 def _blocks(product: Callable[..., Tensors], camera: Tensor, points: Tensor) -> Hessian:
-    """Return the blocks, from one product per camera unknown and three for all points together."""
+    """Compute the blocks from one product per camera unknown and three for all points."""
     m = camera.shape[-1]
     cameras = torch.cat((unit_steps(camera), camera.new_zeros(3, *camera.shape)))
     axes = unit_steps(points[..., 0])[..., None].expand(3, *points.shape)

@@ -1,10 +1,11 @@
-"""Derivatives of a minimum with respect to the data, without the iterations that found it.
+"""Implicit derivatives of a minimum with respect to the data.
 
-At the minimum the gradient ``g(unknowns; data)`` is zero and stays zero when the data change:
-``d unknowns = -H^-1 dg`` with the exact Hessian H. Nothing is computed before the derivative is
-needed; it then takes one Hessian, one linear solve, and one derivative of the gradient with respect
-to the data. Forward mode solves the same system. Both consist of differentiable functions of the
-unknowns and the data, so that second derivatives are correct too.
+At the minimum, the gradient ``g(unknowns; data)`` is zero and stays zero when the data change, so
+``d unknowns = -H^-1 dg`` with the exact Hessian H. The iterations that found the minimum are not
+differentiated. Nothing is computed until a derivative is needed; it then takes one Hessian, one
+linear solve, and one derivative of the gradient with respect to the data. Forward mode solves the
+same system. Both modes consist of differentiable functions of the unknowns and the data, so second
+derivatives are correct too.
 
 Source: implicit function theorem; Krantz and Parks 2002; for bundle adjustment, Triggs et al. 2000,
 section 10.1.
@@ -24,7 +25,10 @@ Tensors = tuple[Tensor, ...]
 
 
 class Objective(Protocol):
-    """A minimisation problem over a manifold; a step is a tuple of tensors in its tangent space."""
+    """A minimisation problem over a manifold.
+
+    A step is a tuple of tensors in the tangent space.
+    """
 
     def zero(self, unknowns: Tensors) -> Tensors:
         """Return the zero step."""
@@ -40,7 +44,7 @@ class Objective(Protocol):
 
 
 def is_differentiated(data: Iterable[Tensor | None]) -> bool:
-    """Return whether a derivative with respect to the data can be required later."""
+    """Return whether a derivative with respect to the data may be needed later."""
     if _traced():
         return True
     return torch.is_grad_enabled() and any(a is not None and a.requires_grad for a in data)
@@ -54,8 +58,8 @@ def attach_derivatives(objective: Objective, unknowns: Tensors, data: Tensors) -
 def solve_dense(product: Callable[..., Tensors], g: Tensors) -> Tensors:
     """Return ``H^-1 g`` for one step tensor ``(*B, m)`` with a small m.
 
-    The pseudo-inverse gives a derivative of zero, not an error, where no match has weight because
-    all residuals are beyond the threshold.
+    If all residuals are beyond the threshold, no match has a weight and H is zero. The
+    pseudo-inverse then gives a derivative of zero instead of an error.
     """
     (b,) = g
     (columns,) = torch.func.vmap(product)(unit_steps(b))
@@ -64,7 +68,7 @@ def solve_dense(product: Callable[..., Tensors], g: Tensors) -> Tensors:
 
 
 def unit_steps(like: Tensor) -> Tensor:
-    """Return ``(m, *B, m)``: the unit steps along each of the m unknowns of ``(*B, m)``."""
+    """Return the unit steps ``(m, *B, m)`` along each of the m unknowns of ``(*B, m)``."""
     m = like.shape[-1]
     eye = torch.eye(m, dtype=like.dtype, device=like.device)
     return eye.reshape(m, *([1] * (like.ndim - 1)), m).expand(m, *like.shape)
@@ -82,9 +86,10 @@ def gradient(objective: Objective, unknowns: Tensors, data: Tensors, step: Tenso
 def gradient_pullback(
     objective: Objective, unknowns: Tensors, data: Tensors
 ) -> Callable[[Tensors], tuple[Tensors, Tensors]]:
-    """Return the map from a step s to ``H s`` and to the derivative of ``g . s`` by the data.
+    """Return the map from a step s to ``H s`` and to the derivative of ``g . s``.
 
-    H is the exact Hessian; the map can be mapped over steps.
+    H is the exact Hessian, and the derivative is that with respect to the data. The map can be
+    vectorised over steps with ``torch.func.vmap``.
     """
 
     def slope(step: Tensors, data: Tensors) -> Tensors:
@@ -104,7 +109,8 @@ class _Minimum(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensors) -> None:
         ctx.objective, ctx.n, *tensors = inputs
-        # The outputs, not the inputs: a second derivative sees that they depend on the data.
+        # The outputs are saved, not the inputs, so that a second derivative includes their
+        # dependence on the data.
         ctx.save_for_backward(*output, *tensors[ctx.n :])
         ctx.save_for_forward(*output, *tensors[ctx.n :])
 
@@ -126,7 +132,7 @@ class _Minimum(torch.autograd.Function):
         unknowns, data = ctx.saved_tensors[: ctx.n], ctx.saved_tensors[ctx.n :]
         zero = objective.zero(unknowns)
         pullback = gradient_pullback(objective, unknowns, data)
-        # Transposed derivatives of linear maps: reverse mode only, whatever the level of nesting.
+        # Transposed derivatives of linear maps need only reverse mode, at every level of nesting.
         _, by_data = torch.func.vjp(lambda *step: pullback(step)[1], *zero)  # type: ignore[misc]
         solved = objective.solve(lambda *step: pullback(step)[0], by_data(tangents[ctx.n :]))
         _, chart = torch.func.vjp(lambda *step: objective.move(unknowns, step), *zero)  # type: ignore[misc]

@@ -1,8 +1,9 @@
-"""The lens models: image and Jacobian of a point, field of view, and a start for the inverse.
+"""Lens models: distortion with Jacobian, field of view, and initial values of the inverse.
 
-A model maps the squared radius s of an ideal point to a ratio, ``r_d = r ratio(s)``. For OpenCV's
-model r is the radius in normalised coordinates; for the fisheye it is the angle to the optical
-axis. The map can be inverted up to the fold, the first s at which ``r_d`` no longer grows with r.
+A model maps the squared radius s of an ideal point to a ratio, ``r_d = r ratio(s)``. In OpenCV's
+model, r is the radius in normalised coordinates; in the fisheye model, it is the angle to the
+optical axis. The map can be inverted up to the fold, the first s at which ``r_d`` stops growing
+with r.
 
 Source: Brown, Close-range camera calibration, 1971; Claus and Fitzgibbon, A rational function lens
 distortion model, CVPR 2005; OpenCV's documentation of ``calib3d``; Kannala and Brandt, A generic
@@ -16,11 +17,11 @@ import math
 import torch
 from torch import Tensor
 
-_SAMPLES, _CELLS = 128, 64  # start within 1e-4: two or three Newton steps reach rounding
+_SAMPLES, _CELLS = 128, 64  # error below 1e-4: two or three Newton steps converge to rounding
 
 
 def radial_ratio(s: Tensor, d: Tensor) -> Tensor:
-    """Return ``r_d / r`` of OpenCV's model without tangential terms, s ``(*B, M)``."""
+    """Return ``r_d / r`` of OpenCV's model without tangential terms, for s ``(*B, M)``."""
     k1, k2, k3 = (d[..., i, None] for i in (0, 1, 4))
     ratio = 1 + s * (k1 + s * (k2 + s * k3))
     if d.shape[-1] >= 8:
@@ -43,7 +44,7 @@ def radial_fold(d: Tensor) -> Tensor:
 
 
 def fisheye_ratio(s: Tensor, d: Tensor) -> Tensor:
-    """Return ``theta_d / theta`` of the fisheye model, s the squared angle ``(*B, M)``."""
+    """Return ``theta_d / theta`` of the fisheye model for squared angles s ``(*B, M)``."""
     k1, k2, k3, k4 = (d[..., i, None] for i in range(4))
     return 1 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
 
@@ -55,7 +56,7 @@ def fisheye_slope(s: Tensor, d: Tensor) -> Tensor:
 
 
 def fisheye_fold(d: Tensor) -> Tensor:
-    """Return the squared angle ``(*B,)`` at which the fisheye folds, at most a right angle."""
+    """Return the squared angle ``(*B,)`` at which the fisheye model folds, at most 90 degrees."""
     odd = torch.tensor([1.0, 3.0, 5.0, 7.0, 9.0], dtype=d.dtype, device=d.device)
     slope = torch.cat((torch.ones_like(d[..., :1]), d), -1) * odd
     return _smallest_positive_root(slope).clamp(max=math.pi**2 / 4)
@@ -70,10 +71,10 @@ def _multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _smallest_positive_root(p: Tensor) -> Tensor:
-    """Return ``(*B,)`` the smallest positive root of polynomials with constant term 1.
+    """Return the smallest positive roots ``(*B,)`` of polynomials with constant term 1.
 
-    Infinite where there is none. The eigenvalues of the companion matrix are the inverses of the
-    roots, so that a leading coefficient of zero needs no special case.
+    The value is infinite where a polynomial has no such root. The eigenvalues of the companion
+    matrix are the inverses of the roots, so a leading coefficient of zero needs no special case.
     """
     n = p.shape[-1] - 1
     below = torch.eye(n, dtype=p.dtype, device=p.device)[:-1].expand(*p.shape[:-1], n - 1, n)
@@ -85,8 +86,11 @@ def _smallest_positive_root(p: Tensor) -> Tensor:
 def distort_opencv(
     x: Tensor, y: Tensor, d: Tensor
 ) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """Return the image ``u, v`` of a point and ``(du/dx, du/dy, dv/dx, dv/dy)``, without tilt."""
-    # a + b c is one addcmul: half the passes over memory of a product and a sum.
+    """Return the image ``u, v`` of a point and its Jacobian, without tilt.
+
+    The Jacobian is ``(du/dx, du/dy, dv/dx, dv/dy)``.
+    """
+    # addcmul computes a + b c in half as many passes over the memory as a product and a sum.
     fma = torch.addcmul
     k1, k2, p1, p2, k3 = (d[..., i, None] for i in range(5))
     s = fma(x * x, y, y)
@@ -119,15 +123,16 @@ def inverse_ratio(square: Tensor, s: Tensor, ratio: Tensor) -> Tensor:
     """Return ``r / r_d`` at squared distorted radii ``(*B, N)``, by linear interpolation.
 
     Args:
-        square: ``(*B, N)``; values beyond the end of the table get that of its end.
-        s: ``(*B, M)`` growing squared radii, from 0.
-        ratio: ``(*B, M)`` ``r_d / r`` there; ``r_d`` must grow.
+        square: ``(*B, N)`` squared distorted radii; beyond the end of the table, its last value is
+            returned.
+        s: ``(*B, M)`` increasing squared radii, from 0.
+        ratio: ``(*B, M)`` ``r_d / r`` at these radii; ``r_d`` must increase.
     """
     image = s * ratio * ratio
     end = torch.minimum(image[..., -1:], square.amax(-1, keepdim=True)).clamp_min(1e-30)
     cells = torch.arange(_CELLS + 1, dtype=s.dtype, device=s.device) / _CELLS
     at = cells * end
-    # Entries below each query: a comparison of all pairs, because searchsorted has no vmap rule.
+    # All pairs are compared to count the entries below each query: searchsorted has no vmap rule.
     k = (image[..., :, None] <= at[..., None, :]).sum(-2).clamp(1, _SAMPLES - 1)
     low, high = image.gather(-1, k - 1), image.gather(-1, k)
     share = ((at - low) / (high - low).clamp_min(1e-300)).clamp(0, 1)
@@ -140,7 +145,7 @@ def inverse_ratio(square: Tensor, s: Tensor, ratio: Tensor) -> Tensor:
 
 
 def samples(fold: Tensor, square: Tensor) -> Tensor:
-    """Return ``(*B, M)`` squared radii from 0 to the fold, dense where the points are."""
+    """Return squared radii ``(*B, M)`` from 0 to the fold, dense in the range of the points."""
     unit = torch.linspace(0, 1, _SAMPLES, dtype=square.dtype, device=square.device)
     scale = square.amax(-1, keepdim=True).clamp_min(1e-30)
     # Close to unit * scale at small radii; at most the fold, or 1000 times the scale without one.

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a batch of problems, each with its own damping.
+"""The Levenberg-Marquardt algorithm for a batch of problems, each with its own damping.
 
 Source: Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004.
 """
@@ -16,12 +16,12 @@ from .checks import _traced
 
 S = TypeVar("S", bound=tuple[Any, ...])
 
-_NEAR = 1e-2  # of the cost: a step that gains less is near the minimum
-_ROUNDING = 1e-12  # of the cost, generously
+_NEAR = 1e-2  # share of the cost; a step that gains less is near the minimum
+_ROUNDING = 1e-12  # share of the cost; an upper bound of its rounding error
 
 
 class Trial(NamedTuple, Generic[S]):
-    """A proposed step: the state it leads to, its cost ``(*B,)``, and the predicted gain."""
+    """A proposed step: the resulting state, its cost ``(*B,)``, and the predicted gain."""
 
     state: S
     cost: Tensor
@@ -33,13 +33,14 @@ class Schedule:
     """Stopping rule and damping.
 
     Attributes:
-        max_iterations: linearisations at most.
-        tolerance: fraction of the cost; a step predicted to gain less is the last one.
-        floor: the same in units of the cost, for exact data, where the cost is rounding.
-        damping: at the start.
-        factor: by which the damping falls after a good step and grows after a bad one.
-        polish: undamped steps after convergence. The cost resolves a step to the square root of
-            its rounding only; derivatives require the minimum to full precision.
+        max_iterations: Maximum number of linearisations.
+        tolerance: Fraction of the cost; a step with a smaller predicted gain is the last one.
+        floor: The same in units of the cost, for exact data, whose cost is only rounding error.
+        damping: Initial damping.
+        factor: Factor by which the damping decreases after a good step and increases after a bad
+            step.
+        polish: Number of undamped steps after convergence. The cost determines the minimum only to
+            the square root of the rounding error, but derivatives require it to full precision.
     """
 
     max_iterations: int
@@ -69,12 +70,12 @@ def levenberg_marquardt(
     """Minimise from `state` with cost ``(*B,)``.
 
     Args:
-        state: a named tuple of tensors with leading dimensions B, or of such tuples.
-        propose: maps the state, the damping ``(*B,)`` and a mask ``(*B,)`` of the items that are
-            near their minimum to a step.
-        converged: ``(*B,)`` items to leave as they are.
+        state: A named tuple of tensors with leading dimensions B, or of such tuples.
+        propose: Function that maps the state, the damping ``(*B,)`` and a mask ``(*B,)`` of the
+            items near their minimum to a step.
+        converged: ``(*B,)`` mask of the items that stay unchanged.
     """
-    # Inside a transform the values cannot decide when to stop: all iterations are run.
+    # Inside a transform, values cannot be read to decide when to stop: all iterations are run.
     watched = not _traced()
     damping = torch.full_like(cost, schedule.damping)
     iterations = torch.zeros_like(cost, dtype=torch.int64)
@@ -103,7 +104,7 @@ def levenberg_marquardt(
 
 
 def _select(condition: Tensor, a: Any, b: Any) -> Any:
-    """Return a where the condition ``(*B,)`` holds, else b, for nested tuples of tensors."""
+    """Return a where the condition ``(*B,)`` holds and b elsewhere, for nested tuples."""
     if isinstance(a, Tensor):
         missing = a.ndim - condition.ndim
         return torch.where(condition.reshape(condition.shape + (1,) * missing), a, b)

@@ -1,4 +1,4 @@
-"""Null vectors with derivatives of every order that stay finite."""
+"""Null vectors with finite derivatives of every order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..errors import DegenerateGeometryError
 
 
 class _Detached(torch.autograd.Function):
-    """Run a batched function outside of differentiation, under torch.func.vmap as well.
+    """A batched function that is not differentiated and that runs under torch.func.vmap.
 
     vmap passes whole batches, so the function may branch on values as eager code does.
     """
@@ -45,7 +45,7 @@ class _Detached(torch.autograd.Function):
 
 
 def detached(function: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:
-    """Evaluate ``function(*tensors)`` as constants.
+    """Evaluate ``function(*tensors)`` as a constant.
 
     The function takes (*B, ...) tensors and returns a tuple of such tensors.
     """
@@ -56,7 +56,7 @@ def eigh(M: Tensor) -> tuple[Tensor, Tensor]:
     """Return the eigenvalues and eigenvectors of symmetric (*B, n, n) matrices.
 
     Raises:
-        DegenerateGeometryError: NaN or infinite entries, where LAPACK does not converge.
+        DegenerateGeometryError: Entries are NaN or infinite, and LAPACK does not converge.
     """
     try:
         return torch.linalg.eigh(M)
@@ -82,7 +82,8 @@ class _SmallestSingularVector(torch.autograd.Function):
         gaps = values[..., 1:] - values[..., :1]
         floor = torch.finfo(A.dtype).eps * values[..., -1:]
         inverse = torch.where(gaps > floor, 1 / torch.where(gaps > floor, gaps, 1.0), 0.0)
-        # One step with the residual of the rows themselves restores the digits that squaring lost.
+        # The normal matrix has lost digits by squaring. One step with the residual of the rows
+        # themselves restores them.
         normal = _apply(A.mT, w * _apply(A, v))
         v = v - _apply(rest, inverse * _apply(rest.mT, normal))
         gap = values[..., 1].clamp(min=0) / torch.where(values[..., -1] > 0, values[..., -1], 1.0)
@@ -120,7 +121,7 @@ def _apply(A: Tensor, x: Tensor) -> Tensor:
 
 
 def _resolvent(A: Tensor, w: Tensor, v: Tensor, gap: Tensor, g: Tensor) -> Tensor:
-    """``(M - λ I)^+ g`` from the system bordered by v; zero where v is not unique."""
+    """Compute ``(M - λ I)^+ g`` from the system bordered by v; zero where v is not unique."""
     n = A.shape[-1]
     M = A.mT @ (w[..., None] * A)
     scale = M.detach().diagonal(dim1=-2, dim2=-1).sum(-1)
@@ -138,22 +139,22 @@ def _resolvent(A: Tensor, w: Tensor, v: Tensor, gap: Tensor, g: Tensor) -> Tenso
 
 
 def smallest_singular_vector(A: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Return the unit v that minimises ``Σ w (A v)²`` and how well it is determined.
+    """Return the unit v that minimises ``Σ w (A v)²``, and a measure of its determinacy.
 
-    v comes from the n x n normal matrix, so the cost does not grow with an SVD of all rows, and is
-    then corrected with the residual ``A v``. The derivatives are implicit: they are finite wherever
-    the smallest singular value is simple, zero included, whereas the derivative of a full
-    decomposition also divides by the differences of the other singular values. Derivatives of any
-    order are correct. Where v is not unique they are zero.
+    v is computed from the n x n normal matrix, which avoids an SVD of all rows, and is then
+    corrected with the residual ``A v``. The derivatives are implicit and correct to any order. They
+    are finite wherever the smallest singular value is simple, even if it is zero, whereas the
+    derivative of a full decomposition also divides by the differences of the other singular values.
+    Where v is not unique, they are zero.
 
     Args:
-        A: (*B, N, n).
-        weights: (*B, N) or (N,), not negative.
+        A: (*B, N, n) rows of the linear system.
+        weights: (*B, N) or (N,) weights of the rows, not negative.
 
     Returns:
         v: (*B, n), of arbitrary sign.
-        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, a constant; 0 where
-            v is not unique.
+        gap: (*B,) ratio of the second-smallest to the largest eigenvalue of the normal matrix, a
+            constant; 0 where v is not unique.
     """
     w = torch.ones_like(A[..., 0]) if weights is None else weights.expand(A.shape[:-1])
     return _SmallestSingularVector.apply(A, w)

@@ -1,5 +1,7 @@
-"""Three-vectors as triples of tensors: one tensor per component is several times faster than a last
-axis of 3."""
+"""Three-vectors as triples of tensors.
+
+One tensor per component is several times faster than a tensor whose last axis has length 3.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,12 @@ def dot(a: Vector, b: Vector) -> Tensor:
 
 
 def components(t: Tensor) -> Vector:
-    """``(*B, 3)`` as a triple of ``(*B, 1)``, ready to go with ``(*B, N)``."""
+    """Split ``(*B, 3)`` into a triple of ``(*B, 1)``, which broadcast against ``(*B, N)``."""
     return t[..., 0, None], t[..., 1, None], t[..., 2, None]
 
 
 def rotate(R: Tensor, v: Vector, inverse: bool = False) -> Vector:
-    """``R v`` (or ``R^T v``) for ``R (*B, 3, 3)`` and components ``(*B, N)``."""
+    """Compute ``R v`` (or ``R^T v``) for ``R (*B, 3, 3)`` and components ``(*B, N)``."""
     M = R.mT if inverse else R
     x, y, z = (
         M[..., i, 0, None] * v[0] + M[..., i, 1, None] * v[1] + M[..., i, 2, None] * v[2]
@@ -33,7 +35,7 @@ def rotate(R: Tensor, v: Vector, inverse: bool = False) -> Vector:
 
 
 def rotated_ray(R: Tensor, x: Tensor, y: Tensor) -> Vector:
-    """``R (x, y, 1)``: the ray of a normalised point of image 1, in the axes of camera 2."""
+    """Compute ``R (x, y, 1)``, the ray of a point of image 1 in the axes of camera 2."""
     u, v, w = (
         R[..., i, 0, None] * x + R[..., i, 1, None] * y + R[..., i, 2, None] for i in range(3)
     )
@@ -41,11 +43,11 @@ def rotated_ray(R: Tensor, x: Tensor, y: Tensor) -> Vector:
 
 
 def image_ray(x: Tensor, y: Tensor) -> Vector:
-    """``(x, y, 1)``."""
+    """Return the ray ``(x, y, 1)``."""
     return x, y, torch.ones_like(x)
 
 
 def choose(condition: Tensor, a: Vector, b: Vector) -> Vector:
-    """a where the condition holds, else b."""
+    """Return a where the condition holds and b elsewhere."""
     x, y, z = (torch.where(condition, i, j) for i, j in zip(a, b))
     return x, y, z

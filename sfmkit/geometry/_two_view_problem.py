@@ -1,18 +1,21 @@
-"""The least-squares problem behind two-view bundle adjustment: residuals, Jacobians and the reduced
-camera system.
+"""The least-squares problem of two-view bundle adjustment.
 
-Unknowns. Camera: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the
-unit translation, and optionally the logarithm of one or two focal scales. Points:
-``y = (u, v, rho)``, direction and inverse depth in camera 1, ``X = (u, v, 1) / rho``: far points
-are as well conditioned as near ones, and the projection in image 1 is (u, v).
+The module computes residuals, Jacobians and the reduced camera system.
 
-Each match contributes a 3 x 3 block for its point. With ``L L^T`` its Cholesky factor (closed
-form), eliminating the points leaves the reduced camera system ``S = Jc^T Jc - Z^T Z``,
-``Z = L^-1 Jy^T Jc`` (Schur complement; Triggs et al., Bundle adjustment - a modern synthesis, 2000,
-section 6.1): linear in the number of points, and no larger than 7 x 7.
+Camera unknowns: a rotation vector omega (``R <- exp(omega) R``), two tangent coordinates b of the
+unit translation, and optionally the logarithm of one or two focal scales. Point unknowns:
+``y = (u, v, rho)``, the direction and inverse depth in camera 1, ``X = (u, v, 1) / rho``. With
+these, distant points are as well conditioned as near ones, and the projection in image 1 is (u, v).
 
-Components ``(*B, N)`` are kept apart as in ``_rays``; camera quantities are ``(*B, 1)`` next to
-them.
+Each match contributes a 3 x 3 block for its point, with the Cholesky factor L in closed form. The
+elimination of the points (Schur complement) leaves the reduced camera system
+``S = Jc^T Jc - Z^T Z``, ``Z = L^-1 Jy^T Jc``, which is at most 7 x 7. Its computation is linear in
+the number of points.
+
+Components ``(*B, N)`` are separate tensors as in ``_rays``; camera quantities have the shape
+``(*B, 1)``.
+
+Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000, section 6.1.
 """
 
 from __future__ import annotations
@@ -35,7 +38,10 @@ FREE_FOCALS: dict[Focal, int] = {"fixed": 0, "shared": 1, "separate": 2}
 
 
 class State(NamedTuple):
-    """The unknowns: R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2), points (u, v, rho)."""
+    """The unknowns of the problem.
+
+    R (*B, 3, 3), unit t (*B, 3), log focal scales (*B, 2) and points (u, v, rho).
+    """
 
     R: Tensor
     t: Tensor
@@ -45,7 +51,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The observations (pixels, float64) and the loss of the residuals."""
+    """Observations (pixels, float64) and the loss of the residuals."""
 
     x1: Tensor
     x2: Tensor
@@ -58,11 +64,11 @@ class Problem:
 
     @property
     def data(self) -> tuple[Tensor, ...]:
-        """x1, x2, weights, K1 and K2."""
+        """Return x1, x2, weights, K1 and K2."""
         return self.x1, self.x2, self.weights, self.K1, self.K2
 
     def detached(self) -> Problem:
-        """Return the same problem without its graph."""
+        """Return the same problem without its autograd graph."""
         return self.with_data([a.detach() for a in self.data])
 
     def with_data(self, data: Sequence[Tensor]) -> Problem:
@@ -106,7 +112,7 @@ class Problem:
         )
 
     def loss_terms(self, r1: Pair, r2: Pair) -> LossTerms:
-        """Return the loss of every match, (*B, N), of its squared residual over both images."""
+        """Return the loss of the squared residual of every match over both images, (*B, N)."""
         return loss_terms(self.loss, _dot2(r1, r1) + _dot2(r2, r2), self.scale)
 
 
@@ -117,13 +123,13 @@ class Linearised(NamedTuple):
     """
 
     S: Tensor  # (*B, size, size) reduced camera matrix
-    g: Tensor  # (*B, size) its right-hand side, the gradient after the elimination of the points
+    g: Tensor  # (*B, size) right-hand side, the gradient after the elimination of the points
     Z: Tensor  # (*B, size + 1, 3, N)
     L: tuple[Tensor, ...]  # l00, l10, l11, l20, l21, l22
     H: Tensor  # (*B, size, size) camera block before the elimination
 
     def solve_points(self, camera: Tensor) -> Vector:
-        """Return the step of the points that belongs to a camera step (*B, size)."""
+        """Return the step of the points for a camera step (*B, size)."""
         one = torch.ones_like(camera[..., :1])
         rhs = (torch.cat((camera, one), -1)[..., None, :] @ self.Z.flatten(-2))[..., 0, :]
         a, b, c = rhs.unflatten(-1, (3, -1)).unbind(-2)
@@ -151,7 +157,7 @@ def _residual(K: Tensor, f: Tensor, a: Tensor, b: Tensor, x: Tensor) -> Pair:
 
 
 def intrinsics(K: Tensor) -> tuple[Tensor, ...]:
-    """fx, skew, cx, fy, cy as (*B, 1)."""
+    """Return fx, skew, cx, fy and cy, each (*B, 1)."""
     return (
         K[..., 0, 0, None],
         K[..., 0, 1, None],
@@ -162,19 +168,21 @@ def intrinsics(K: Tensor) -> tuple[Tensor, ...]:
 
 
 class Jacobian(NamedTuple):
-    """Derivatives of the pixels of one match, each column a pair (x, y) of components; None stands
-    for zero."""
+    """Derivatives of the pixels of all matches.
 
-    point1: tuple[Pair, Pair]  # image 1 by u, v (rho does not move it)
-    point2: tuple[Pair, Pair, Pair]  # image 2 by u, v, rho
-    camera1: tuple[Pair | None, ...]  # image 1 by the camera unknowns
+    Each column is a pair (x, y) of components; None stands for zero.
+    """
+
+    point1: tuple[Pair, Pair]  # image 1 with respect to u, v (rho has no effect)
+    point2: tuple[Pair, Pair, Pair]  # image 2 with respect to u, v, rho
+    camera1: tuple[Pair | None, ...]  # image 1 with respect to the camera unknowns
     camera2: tuple[Pair | None, ...]
     residual1: Pair
     residual2: Pair
 
 
 def jacobian(state: State, problem: Problem) -> Jacobian:
-    """Return the Jacobian and residuals without weights."""
+    """Return the Jacobian and the residuals without weights."""
     u, v, w = state.y
     t = components(state.t)
     f1, f2 = (f[..., None] for f in state.log_focal.exp().unbind(-1))
@@ -216,11 +224,11 @@ def jacobian(state: State, problem: Problem) -> Jacobian:
 
 
 def weigh(J: Jacobian, problem: Problem) -> Jacobian:
-    """Multiply the rows by the square root of their weight.
+    """Multiply the rows by the square roots of their weights.
 
-    ``J^T r`` is then the robust gradient, and ``J^T J`` bounds the Hessian. Each match has one
-    weight; separate weights for the two images would shift its residual between them, and converge
-    slowly.
+    ``J^T r`` is then the robust gradient, and ``J^T J`` is an upper bound of the Hessian. Each
+    match has one weight. Separate weights for the two images would shift the residual from one
+    image to the other, and converge slowly.
     """
     root = (problem.weights * problem.loss_terms(J.residual1, J.residual2).slope).sqrt()
 
@@ -231,7 +239,7 @@ def weigh(J: Jacobian, problem: Problem) -> Jacobian:
 
 
 def in_chunks(state: State, problem: Problem) -> Iterator[tuple[State, Problem]]:
-    """Yield parts of the problem whose intermediate tensors fit into the processor's cache."""
+    """Yield parts of the problem whose intermediate tensors fit in the processor's cache."""
     n = problem.x1.shape[-2]
     if n <= _CHUNK:
         yield state, problem
@@ -255,9 +263,10 @@ def linearise(
 ) -> Linearised:
     """Return the reduced camera system.
 
-    Reweighted least squares: the quadratic lies above the cost, so that its step descends. Where
-    near (*B,) is true, the curvature of the loss is used too, which converges faster, but only
-    close to the minimum. With damping (*B,), every point's diagonal is scaled by 1 + damping.
+    The system is that of reweighted least squares: its quadratic is an upper bound of the cost, so
+    the step decreases the cost. Where `near` (*B,) is true, the curvature of the loss is included,
+    which converges faster, but only close to the minimum. With `damping` (*B,), the diagonal of the
+    block of every point is scaled by 1 + damping.
     """
     S, g, Z, L, H = zip(*(_linearise(s, p, damping, near) for s, p in in_chunks(state, problem)))
     if len(S) == 1:
@@ -289,8 +298,8 @@ def _linearise(
     reduced, H = H - flat @ flat.mT, H[..., :m, :m]
     S = reduced[..., :m, :m]
     if near is not None and problem.loss != "squared":
-        # At the minimum of the points J_y^T r = 0: the curvature along the residual concerns the
-        # camera only.
+        # At the minimum with respect to the points, J_y^T r = 0: the curvature along the residual
+        # affects only the camera.
         bend = (
             2
             * problem.weights
@@ -333,8 +342,8 @@ def _point_factor(J: Jacobian, damping: Tensor | float) -> tuple[Tensor, ...]:
     l10, l20 = uv / l00, uw / l00
     l11 = (grow * vv - l10 * l10).clamp_min(_TINY).sqrt()
     l21 = (vw - l20 * l10) / l11
-    # The block of a point on the epipole, or beyond a redescending loss, is singular: with the
-    # floor the point does not move.
+    # The block of a point on the epipole, or in the flat part of a redescending loss, is singular.
+    # With this lower bound, the point does not move.
     l22 = (grow * ww - l20 * l20 - l21 * l21).clamp_min(_TINY).sqrt()
     return l00, l10, l11, l20, l21, l22
 

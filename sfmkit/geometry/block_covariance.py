@@ -1,9 +1,9 @@
-"""Covariance of a pose whose errors are correlated over the image and whose cameras are uncertain.
+"""Covariance of a pose with spatially correlated errors and uncertain cameras.
 
-The covariance of :func:`sfmkit.geometry.uncertainty.covariance` supposes that every match errs by
-itself. Detectors err systematically where a surface is foreshortened or blurred, so neighbouring
-matches err together, and that covariance is several times too small on photographs. Two further
-parts are estimated here, to first order and without refitting:
+:func:`sfmkit.geometry.uncertainty.covariance` assumes that the errors of the matches are
+independent. Detectors have systematic errors where a surface is foreshortened or blurred, so the
+errors of neighbouring matches are correlated, and that covariance is several times too small on
+photographs. This module estimates two further parts, to first order and without refitting:
 
 - blocks: the delete-one-block jackknife (CR3) over tiles of image 1, which needs no model of the
   correlation within a tile;
@@ -36,7 +36,7 @@ from .loss_kernels import Loss, loss_terms
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 
-_STEP = 1e-5  # radians, shares of the focal length, pixels: the cube root of float64's rounding
+_STEP = 1e-5  # radians, shares of the focal length or pixels: the cube root of float64's rounding
 INTRINSICS = ("relative focal length", "principal point x", "principal point y", "k1")
 
 
@@ -45,11 +45,11 @@ class Sensitivity:
     """A robust Sampson cost linearised at its minimum.
 
     Attributes:
-        score: ``(N, 5)`` gradient of each match's cost with respect to the pose ``(omega, b)`` (see
-            :class:`~sfmkit.geometry.uncertainty.Uncertainty`), square pixels.
-        hessian: ``(N, 5, 5)`` its curvature.
+        score: ``(N, 5)`` gradient of the cost of each match with respect to the pose ``(omega, b)``
+            (see :class:`~sfmkit.geometry.uncertainty.Uncertainty`), square pixels.
+        hessian: ``(N, 5, 5)`` second derivative of the cost of each match.
         by_intrinsics: ``(5, 8)`` derivative of the minimum with respect to the intrinsics of camera
-            1, then of camera 2, each in the order of :data:`INTRINSICS`.
+            1 and then of camera 2, each in the order of :data:`INTRINSICS`.
     """
 
     score: Tensor
@@ -71,22 +71,22 @@ def linearise_pose(
     """Linearise the robust Sampson cost of a pose at its minimum.
 
     Args:
-        R, t: ``(3, 3)`` and ``(3,)``, ``X2 = R X1 + t``.
+        R, t: ``(3, 3)`` and ``(3,)`` pose, ``X2 = R X1 + t``.
         x1, x2: ``(N, 2)`` undistorted pixels of the inliers.
-        K1, K2: ``(3, 3)``.
-        loss, loss_scale: as they were minimised, pixels.
+        K1, K2: ``(3, 3)`` intrinsics.
+        loss, loss_scale: Loss that was minimised and its scale in pixels.
 
     Raises:
-        InputError: wrong shapes or types, batches, NaN or infinite values, t of zero, an unknown
-            loss, or a scale outside 1e-100 to 1e100.
-        DegenerateGeometryError: fewer than 5 matches, or matches that do not determine the pose.
+        InputError: Shapes or types are wrong, there is a batch, a value is not finite, t is zero,
+            the loss is unknown, or the scale is outside 1e-100 to 1e100.
+        DegenerateGeometryError: There are fewer than 5 matches, or they do not determine the pose.
     """
     _check_two_views(R, t, x1, x2, K1, K2, minimum=5)
     t = t / t.norm()
     P1, P2 = inverse_intrinsics(K1), inverse_intrinsics(K2)
     E = hat(t) @ R
     F = P2.mT @ E @ P1
-    # dF for each of the 5 pose parameters, then 3 intrinsics of each camera
+    # dF for each of the 5 pose parameters, then for 3 intrinsics of each camera
     turned = [P2.mT @ hat(t) @ hat(e) @ R @ P1 for e in torch.eye(3).to(R)]
     moved = [P2.mT @ hat(b) @ R @ P1 for b in tangent_basis(t).mT]
     first = [P2.mT @ E @ d for d in _inverse_derivatives(K1)]
@@ -101,7 +101,8 @@ def linearise_pose(
     J_camera = torch.cat((by_K1, k1, by_K2, k2), 1)
 
     terms = loss_terms(loss, r.square(), loss_scale)
-    # of half the loss: gradient slope r J, curvature (slope + 2 curvature r^2) J J^T
+    # Half the loss has the gradient slope r J and the second derivative
+    # (slope + 2 curvature r^2) J J^T.
     curvature = terms.slope + 2 * terms.curvature * r.square()
     outer = J[:, :, None] * J[:, None, :]
     hessian = curvature[:, None, None] * outer
@@ -112,17 +113,18 @@ def linearise_pose(
 
 
 def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
-    """Estimate the ``(5, 5)`` covariance of a pose by leaving out one block of matches at a time.
+    """Estimate the ``(5, 5)`` covariance of a pose with the delete-one-block jackknife.
 
     Args:
+        sensitivity: Linearised cost, from :func:`linearise_pose`.
         block: ``(N,)`` int64, the block of every match.
 
     Returns:
-        The covariance; infinite where fewer than two blocks hold all matches, or where one block
-        alone determines a direction of the pose.
+        The covariance; infinite if there are fewer than two blocks, or if a direction of the pose
+        is determined by one block alone.
 
     Raises:
-        InputError: wrong shapes or types, NaN or infinite values.
+        InputError: Shapes or types are wrong, or values are not finite.
     """
     _check_sensitivity(sensitivity)
     check_values(score=sensitivity.score, hessian=sensitivity.hessian)
@@ -149,11 +151,12 @@ def camera_covariance(
     """Propagate the standard deviations of the intrinsics to a pose, ``(5, 5)``.
 
     Args:
+        sensitivity: Linearised cost, from :func:`linearise_pose`.
         sigma1, sigma2: ``(4,)`` standard deviations in the order of :data:`INTRINSICS`.
-        shared: both images were taken by one camera, whose errors are the same in both.
+        shared: Whether one camera took both images, so that its errors are the same in both.
 
     Raises:
-        InputError: wrong shapes or types, NaN or infinite values, negative deviations.
+        InputError: Shapes or types are wrong, or a value is not finite or a deviation negative.
     """
     _check_sensitivity(sensitivity)
     _check_sigmas(sensitivity, sigma1, sigma2)
@@ -174,18 +177,20 @@ def point_covariances(
     sigma2: Tensor,
     shared: bool,
 ) -> Tensor:
-    """Replace the pose's part of the covariance of points, and add the part of the cameras.
+    """Replace the pose part of the covariances of points, and add the part of the cameras.
 
     Args:
-        points: ``(N, 3, 3)`` covariance of the points with that of the pose included.
-        derivatives: ``(N, 3, 13)`` of the points, from :func:`point_derivatives`.
+        points: ``(N, 3, 3)`` covariances of the points, including the uncertainty of the pose.
+        derivatives: ``(N, 3, 13)`` derivatives of the points, from :func:`point_derivatives`.
         before: ``(5, 5)`` covariance of the pose that `points` includes.
-        pose: ``(5, 5)`` covariance of the pose to include, without that of the cameras.
-        sigma1, sigma2, shared: as for :func:`camera_covariance`.
+        pose: ``(5, 5)`` covariance of the pose to include instead, without the part of the cameras.
+        sensitivity: Linearised cost, from :func:`linearise_pose`.
+        sigma1, sigma2, shared: As for :func:`camera_covariance`.
 
     Raises:
-        InputError: wrong shapes or types, negative deviations; NaN or infinite values, except in
-            `points` and `derivatives`, where they concern their point alone.
+        InputError: Shapes or types are wrong, a deviation is negative, or a value is not finite.
+            Values of `points` and `derivatives` may be NaN or infinite, which affects only their
+            own point.
     """
     _check_sensitivity(sensitivity)
     _check_sigmas(sensitivity, sigma1, sigma2)
@@ -200,7 +205,7 @@ def point_covariances(
     ):
         _check_shape(name, a, shape)
     by_pose = derivatives[..., :5]
-    # a camera's error moves a point directly, and through the pose that it moves
+    # An error of a camera moves a point directly, and also through the pose.
     by_camera = derivatives[..., 5:] + by_pose @ sensitivity.by_intrinsics
     first, second = by_camera[..., :4], by_camera[..., 4:]
     columns = (
@@ -214,20 +219,21 @@ def point_derivatives(
 ) -> Tensor:
     """Differentiate triangulated points with respect to the pose and the intrinsics.
 
-    By central differences, whose error of about 1e-9 is irrelevant for a covariance: forward-mode
-    differentiation takes twice the time for 29,000 points, and three seconds more on its first use
-    (torch 2.15).
+    The derivatives are central differences in double precision, whose error of about 1e-9 is
+    irrelevant for a covariance. Forward-mode differentiation takes twice the time for 29,000
+    points, and three more seconds on its first use (torch 2.15).
 
     Args:
         R, t, x1, x2, K1, K2: As for :func:`linearise_pose`.
 
     Returns:
-        ``(N, 3, 13)``: the five parameters of the pose, then the intrinsics of camera 1 and of
-        camera 2 (:data:`INTRINSICS`); points in camera 1, unit baseline. Computed in double
-        precision, in which the steps are small enough and the rounding is too.
+        ``(N, 3, 13)`` derivatives with respect to the five parameters of the pose, the intrinsics
+        of camera 1 and the intrinsics of camera 2 (:data:`INTRINSICS`). The points are in the frame
+        of camera 1, in baselines.
 
     Raises:
-        InputError: wrong shapes or types, batches, NaN or infinite values, t of zero.
+        InputError: Shapes or types are wrong, there is a batch, a value is not finite, or t is
+            zero.
     """
     _check_two_views(R, t, x1, x2, K1, K2)
     kind = R.dtype
@@ -252,13 +258,17 @@ def point_derivatives(
 def _central_differences(
     function: Callable[[Tensor], Tensor], n: int, like: Tensor
 ) -> Iterator[Tensor]:
-    """Derivatives at zero of a function with respect to its `n` arguments."""
+    """Yield the derivatives at zero of a function with respect to its `n` arguments."""
     for step in _STEP * torch.eye(n, dtype=like.dtype, device=like.device):
         yield (function(step) - function(-step)) / (2 * _STEP)
 
 
 def _rays_by_intrinsics(x: Tensor, K: Tensor) -> Callable[[Tensor], Tensor]:
-    """Normalised coordinates of pixels, as a function of the errors (:data:`INTRINSICS`)."""
+    """Return a function that maps errors of the intrinsics to the rays of pixels.
+
+    The errors are in the order of :data:`INTRINSICS`; the rays are normalised coordinates
+    ``(N, 2)``.
+    """
     radial, inverse = _radial_shift(x, K), inverse_intrinsics(K).mT
 
     def rays(error: Tensor) -> Tensor:
@@ -269,15 +279,17 @@ def _rays_by_intrinsics(x: Tensor, K: Tensor) -> Callable[[Tensor], Tensor]:
 
 
 def image_blocks(x: Tensor, size_wh: tuple[int, int], across: int = 12) -> Tensor:
-    """Number the square tiles of an image in which points ``(N, 2)`` lie, ``(N,)`` int64.
+    """Return the numbers of the square image tiles that contain points, ``(N,)`` int64.
 
     Args:
-        across: Tiles along the longest side. Twelve make tiles of 256 pixels in a photograph of
-            3072 pixels. Points outside the image belong to the nearest tile.
+        x: ``(N, 2)`` pixels. Points outside the image belong to the nearest tile.
+        size_wh: Width and height of the image in pixels.
+        across: Number of tiles along the longest side. With twelve, the tiles of a photograph of
+            3072 pixels have 256 pixels.
 
     Raises:
-        InputError: wrong shapes or types, NaN or infinite values, a size or number of tiles that is
-            not positive.
+        InputError: A shape or type is wrong, a value is not finite, or the size or the number of
+            tiles is not positive.
     """
     check_points(x=x)
     if x.ndim != 2 or across < 1 or min(size_wh) < 1:
@@ -301,7 +313,7 @@ def _check_two_views(
 
 
 def _check_determined(H: Tensor) -> None:
-    """Raise DegenerateGeometryError for a curvature that is singular up to rounding."""
+    """Raise DegenerateGeometryError if the Hessian is singular up to rounding."""
     if _traced():
         return
     root = H.detach().diagonal().abs().sqrt()
@@ -343,8 +355,10 @@ def _check_sigmas(sensitivity: Sensitivity, sigma1: Tensor, sigma2: Tensor) -> N
 
 
 def _sampson(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Signed Sampson distances ``(N,)``, and their derivatives with respect to F ``(N, 9)``, x1 and
-    x2 ``(N, 2)``."""
+    """Return the signed Sampson distances ``(N,)`` and their derivatives.
+
+    The derivatives are with respect to F ``(N, 9)``, x1 ``(N, 2)`` and x2 ``(N, 2)``.
+    """
     y1, y2 = to_homogeneous(x1), to_homogeneous(x2)
     l2, l1 = y1 @ F.mT, y2 @ F  # epipolar lines in image 2 and in image 1
     q = l2[:, :2].square().sum(-1) + l1[:, :2].square().sum(-1)
@@ -353,12 +367,12 @@ def _sampson(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor, Tensor,
     by_F = y2[:, :, None] * y1[:, None, :] / root[:, None, None]
     half = (l2 * flat)[:, :, None] * y1[:, None, :] + y2[:, :, None] * (l1 * flat)[:, None, :]
     by_F = by_F - (e / (q * root))[:, None, None] * half
-    # q depends on the points too, in second order of the distance, which inliers do not feel
+    # q depends on the points too; for inliers this second-order effect is negligible.
     return e / root, by_F.flatten(1), l1[:, :2] / root[:, None], l2[:, :2] / root[:, None]
 
 
 def _inverse_derivatives(K: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Derivatives of ``K^-1`` with respect to the relative focal length, cx and cy."""
+    """Return the derivatives of ``K^-1`` with respect to the relative focal length, cx and cy."""
     P = inverse_intrinsics(K)
     focal, cx, cy = torch.zeros((3, 3, 3), dtype=K.dtype, device=K.device)
     focal[0, 0] = focal[0, 1] = focal[1, 1] = cx[0, 2] = cy[1, 2] = 1
@@ -366,7 +380,7 @@ def _inverse_derivatives(K: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _radial_shift(x: Tensor, K: Tensor) -> Tensor:
-    """Derivative ``(N, 2)`` of undistorted pixels with respect to k1, at no distortion."""
+    """Return the derivative ``(N, 2)`` of undistorted pixels with respect to k1, at k1 = 0."""
     xn = to_homogeneous(x) @ inverse_intrinsics(K).mT
     r2 = xn[:, :2].square().sum(-1, keepdim=True)
     return -(r2 * xn[:, :2]) @ K[:2, :2].mT

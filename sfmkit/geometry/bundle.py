@@ -1,4 +1,4 @@
-"""Two-view bundle adjustment: the pose and the points of least reprojection error, in pixels."""
+"""Two-view bundle adjustment: joint refinement of pose and points."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from .loss_kernels import Loss
 from .pose import check_pose
 from .triangulation import triangulate_optimal
 
-_TOLERANCE = 1e-12  # of the cost: the predicted decrease at convergence
-_EXACT = 1e-20  # pixels squared per match: rounding of the residuals
-_DAMPING = 1e-4  # at the start
+_TOLERANCE = 1e-12  # share of the cost: the predicted decrease at convergence
+_EXACT = 1e-20  # square pixels per match: rounding of the residuals
+_DAMPING = 1e-4  # initial value
 _POLISH = 2  # steps; each leaves about a tenth of the error
-# times the damping: the points need little, and their damping slows the camera down too
+# share of the damping that applies to the points: they need little, and their damping also slows
+# down the convergence of the camera
 _POINT_DAMPING = 1e-5
 
 
@@ -31,17 +32,17 @@ class TwoViewBundle:
     """Two cameras and their points at a minimum of the reprojection error.
 
     Attributes:
-        R: ``(*B, 3, 3)``.
-        t: ``(*B, 3)`` unit length, ``X2 = R X1 + t``.
+        R: ``(*B, 3, 3)`` rotation.
+        t: ``(*B, 3)`` translation of unit length, ``X2 = R X1 + t``.
         inverse_depth: ``(*B, N, 3)`` points as ``(u, v, rho)``: normalised coordinates in image 1
-            and inverse depth; rho is zero at infinity, and negative where the rays meet behind
+            and inverse depth. rho is zero at infinity, and negative where the rays meet behind
             camera 1.
-        K1, K2: ``(*B, 3, 3)``, with the estimated focal lengths where these are free.
+        K1, K2: ``(*B, 3, 3)`` intrinsics, with the estimated focal lengths if these are free.
         cost: ``(*B, iterations + 1)`` half the weighted loss, square pixels, at the start and after
             each step.
-        iterations: ``(*B,)`` int64, linearisations until convergence.
-        converged: ``(*B,)`` bool.
-        x1, x2, weights, loss, loss_scale, focal: the problem that was solved.
+        iterations: ``(*B,)`` int64 number of linearisations until convergence.
+        converged: ``(*B,)`` bool, whether the minimisation converged.
+        x1, x2, weights, loss, loss_scale, focal: The problem that was solved.
     """
 
     R: Tensor
@@ -61,21 +62,24 @@ class TwoViewBundle:
 
     @property
     def X(self) -> Tensor:
-        """Return the points ``(*B, N, 3)`` in camera 1, in baselines; infinite at infinity."""
+        """Return the points ``(*B, N, 3)`` in the frame of camera 1, in baselines.
+
+        Points at infinity have infinite coordinates.
+        """
         rho = self.inverse_depth[..., 2:]
         infinite = rho == 0
         ray = torch.cat((self.inverse_depth[..., :2], torch.ones_like(rho)), -1)
         return torch.where(infinite, torch.inf, ray / torch.where(infinite, 1.0, rho))
 
     def problem(self) -> Problem:
-        """Return the least-squares problem at the cameras found, float64."""
+        """Return the least-squares problem for the estimated cameras, float64."""
         x1, x2, weights, K1, K2 = (
             a.double() for a in (self.x1, self.x2, self.weights, self.K1, self.K2)
         )
         return Problem(x1, x2, _regular(weights), K1, K2, self.loss, self.loss_scale, self.focal)
 
     def state(self) -> State:
-        """Return the unknowns at the minimum, float64; focal scales are relative to K1 and K2."""
+        """Return the unknowns at the minimum, float64, with focal scales relative to K1, K2."""
         u, v, w = self.inverse_depth.double().unbind(-1)
         log_focal = torch.zeros((*self.t.shape[:-1], 2), dtype=torch.float64, device=self.t.device)
         return State(self.R.double(), self.t.double(), log_focal, (u, v, w))
@@ -97,28 +101,32 @@ def bundle_adjust(
 ) -> TwoViewBundle:
     """Refine the pose, all points and, optionally, the focal lengths from an initial pose.
 
-    Levenberg-Marquardt on the reduced camera system, with analytic Jacobians and points as
-    direction and inverse depth; time and memory are linear in N. The minimum is differentiable with
-    respect to x1, x2, weights, K1 and K2, in reverse and forward mode and more than once (implicit
-    function theorem, exact Hessian); the time of a derivative does not depend on the number of
-    iterations. The derivative with respect to the initial pose is zero.
+    The Levenberg-Marquardt algorithm runs on the reduced camera system with analytic Jacobians.
+    Points are parametrised by direction and inverse depth. Time and memory are linear in N.
+
+    The minimum is differentiable with respect to x1, x2, weights, K1 and K2, in reverse and forward
+    mode and more than once (implicit function theorem, exact Hessian). The time of a derivative
+    does not depend on the number of iterations. The derivative with respect to the initial pose is
+    zero.
 
     Args:
-        x1, x2: ``(*B, N, 2)`` pixels, undistorted; N at least 5 plus the free focal lengths.
+        x1, x2: ``(*B, N, 2)`` undistorted pixels; N is at least 5 plus the number of free focal
+            lengths.
         K1, K2: ``(*B, 3, 3)`` intrinsics.
         R, t: ``(*B, 3, 3)``, ``(*B, 3)`` initial pose; the length of t does not matter.
-        weights: ``(*B, N)`` non-negative, one per match: relative precision (inverse variance),
-            ones by default.
-        loss, loss_scale: of a match's residual, the 4-vector over both images, in pixels; see
-            :func:`sfmkit.geometry.losses.loss_terms`.
+        weights: ``(*B, N)`` relative precision (inverse variance) of each match, not negative; ones
+            by default.
+        loss, loss_scale: Loss of the residual of a match, a 4-vector over both images, and its
+            scale in pixels; see :func:`sfmkit.geometry.losses.loss_terms`.
         focal: ``fixed``, ``shared`` (K1 and K2 scaled by one factor) or ``separate``. A free focal
             length is well determined only where the optical axes do not meet (Kanatani and
             Matsunaga 2000); check the covariance.
-        max_iterations: 0 only triangulates at the given pose.
+        max_iterations: Maximum number of iterations; 0 only triangulates at the given pose.
 
     Raises:
-        InputError: shapes, dtypes or devices that do not match, NaN, unknown options, or a zero t.
-        DegenerateGeometryError: too few matches.
+        InputError: Shapes, dtypes or devices do not fit, a value is NaN, an option is unknown, or t
+            is zero.
+        DegenerateGeometryError: There are too few matches.
 
     Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis,
     2000.
@@ -207,10 +215,11 @@ def _minimise(state: State, problem: Problem, max_iterations: int, polish: int) 
         diagonal = torch.diag_embed(damping[..., None] * system.S.diagonal(dim1=-2, dim2=-1))
         camera = -torch.linalg.solve_ex(system.S + diagonal, system.g[..., None])[0][..., 0]
         trial = problem.move(state, camera, system.solve_points(camera))
-        # After a second step of the points alone, the cost shows the effect of the camera's step:
-        # in a curved valley (a free focal length) this needs a tenth of the iterations.
+        # The cost is evaluated after a second step of the points alone, so that it shows the effect
+        # of the camera step. In a curved valley (a free focal length), this reduces the number of
+        # iterations to a tenth.
         trial = settle_points(trial, problem, _POINT_DAMPING * damping)
-        # The predicted gain of a full step, of the points and then of the camera.
+        # The predicted gain of a full step: first of the points, then of the camera.
         own = system.Z[..., -1, :, :]
         gain = (own * own).sum((-1, -2)) - (camera * system.g).sum(-1)
         return Trial(trial, problem.cost(trial), gain)

@@ -15,17 +15,17 @@ from .checks import check_matrices
 def pinhole_from_camera(
     camera: Camera, R: Tensor | None = None, t: Tensor | None = None
 ) -> PinholeCamera:
-    """Return the camera as kornia's ``PinholeCamera``: float64, a batch of one.
+    """Convert the camera to a kornia ``PinholeCamera``, float64, with a batch of one.
 
-    Both have the centre of the top-left pixel at (0, 0).
+    In both types, the centre of the top-left pixel is (0, 0).
 
     Args:
-        camera: without lens distortion, which PinholeCamera does not have: undistort the pixels
-            first (:func:`sfmkit.geometry.distortion.undistort_pixels`).
-        R, t: (3, 3) and (3,) pose ``X_camera = R X_world + t``; the identity if left out.
+        camera: Camera without lens distortion, which PinholeCamera does not support. Undistort the
+            pixels first (:func:`sfmkit.geometry.distortion.undistort_pixels`).
+        R, t: (3, 3) and (3,) pose ``X_camera = R X_world + t``; the identity by default.
 
     Raises:
-        InputError: the camera has distortion, or only one of R and t is given.
+        InputError: The camera has distortion, or only one of R and t is given.
     """
     if camera.has_distortion:
         raise InputError(
@@ -51,11 +51,11 @@ def pinhole_from_camera(
 
 
 def camera_from_pinhole(pinhole: PinholeCamera) -> tuple[Camera, Tensor, Tensor]:
-    """Return the camera and the pose R (3, 3), t (3,) of kornia's ``PinholeCamera``.
+    """Convert a kornia ``PinholeCamera`` to a camera and a pose R (3, 3), t (3,).
 
     Raises:
-        InputError: a batch of more than one camera.
-        CameraError: intrinsics that no camera has.
+        InputError: The batch contains more than one camera.
+        CameraError: No camera has these intrinsics.
     """
     if pinhole.intrinsics.shape[0] != 1:
         raise InputError(

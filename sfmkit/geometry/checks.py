@@ -12,20 +12,24 @@ from ..errors import DegenerateGeometryError, InputError
 
 
 def _traced() -> bool:
-    """Return whether values cannot be read: inside a torch.func transform or torch.compile."""
+    """Return whether the code runs inside torch.func or torch.compile.
+
+    Values cannot be read there.
+    """
     return torch.compiler.is_compiling() or torch._C._functorch.maybe_current_level() is not None
 
 
 def check_values(**tensors: Tensor | None) -> None:
     """Raise InputError unless every tensor is finite.
 
-    Does nothing inside torch.func transforms and torch.compile, where values cannot be read.
+    The check is skipped inside torch.func transforms and torch.compile, where values cannot be
+    read.
     """
     if _traced():
         return
     for name, a in tensors.items():
-        # A sum is finite only if its terms are: one pass without a temporary, half the time of
-        # isfinite().all().
+        # A sum is finite only if its terms are. It takes one pass and no temporary, half the time
+        # of isfinite().all().
         if a is not None and not math.isfinite(a.detach().sum().item()):
             raise InputError(f"{name} holds NaN or infinite values; drop those entries first")
 
@@ -33,7 +37,7 @@ def check_values(**tensors: Tensor | None) -> None:
 def check_kind(**tensors: Tensor | None) -> None:
     """Raise InputError unless all tensors are float32, or all float64, on one device.
 
-    None is skipped.
+    Arguments that are None are skipped.
     """
     first: tuple[str, Tensor] | None = None
     for name, a in tensors.items():
@@ -64,14 +68,14 @@ def check_kind(**tensors: Tensor | None) -> None:
 def check_points(
     minimum: int = 0, weights: Tensor | None = None, *, dim: int = 2, **points: Tensor
 ) -> None:
-    """Raise unless all points are finite (*B, N, dim) tensors of one shape and kind.
+    """Raise unless all points are finite (*B, N, dim) tensors of one shape, dtype and device.
 
-    weights, where given, must be (*B, N) or (N,).
+    Weights must be (*B, N) or (N,).
 
     Raises:
-        InputError: wrong shape, dtype or device, mismatched batches, NaN or infinity, negative
-            weights.
-        DegenerateGeometryError: fewer than `minimum` points.
+        InputError: A shape, dtype or device is wrong, batches do not fit, a value is not finite, or
+            a weight is negative.
+        DegenerateGeometryError: There are fewer than `minimum` points.
     """
     check_kind(**points, weights=weights)
     first = next(iter(points))
@@ -103,8 +107,9 @@ def check_points(
 def check_shapes(shape: tuple[int, ...], like: Tensor | None = None, **tensors: Tensor) -> None:
     """Raise InputError unless all are tensors (*B, *shape) of one float type on one device.
 
-    The batches must fit each other. Reads no values, so that inner loops can afford it. `like`,
-    points (*B, N, D) or matrices (*B, D, D), must have that type, device and batch too.
+    The batches must fit each other. No values are read, so the check is fast enough for inner
+    loops. `like`, points (*B, N, D) or matrices (*B, D, D), must have the same type and device, and
+    a batch that fits.
     """
     check_kind(points=like, **tensors)
     batches = {} if like is None else {"points": like.shape[:-2]}
@@ -118,14 +123,14 @@ def check_shapes(shape: tuple[int, ...], like: Tensor | None = None, **tensors: 
 
 
 def check_scale(**scales: float) -> None:
-    """Raise InputError unless all are positive, and their powers are in the range of floats."""
+    """Raise InputError unless all scales are from 1e-100 to 1e100, so that powers are finite."""
     for name, scale in scales.items():
         if not 1e-100 <= scale <= 1e100:
             raise InputError(f"{name} must be positive, from 1e-100 to 1e100, not {scale}")
 
 
 def check_batches(**batches: Sequence[int]) -> None:
-    """Raise InputError unless these shapes of batches can be broadcast against each other."""
+    """Raise InputError unless the batch shapes can be broadcast against each other."""
     if len(set(batches.values())) > 1:
         try:
             torch.broadcast_shapes(*batches.values())
@@ -139,14 +144,14 @@ def check_matrices(
 ) -> None:
     """Raise InputError unless all are finite tensors (*B, *shape) of one dtype and device.
 
-    `like`, where given, must have that dtype and device too.
+    `like` must have the same dtype and device.
     """
     check_shapes(shape, like, **matrices)
     check_values(**matrices)
 
 
 def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
-    """Raise InputError unless all are invertible ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
+    """Raise InputError unless all are regular ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``."""
     check_matrices(like, shape=(3, 3), **cameras)
     if _traced():
         return
@@ -162,12 +167,14 @@ def check_intrinsics(like: Tensor | None = None, **cameras: Tensor) -> None:
 
 
 def check_determined(gap: Tensor, dtype: torch.dtype, model: str, hint: str) -> None:
-    """Raise DegenerateGeometryError when no member of a batch determines its linear solution.
+    """Raise DegenerateGeometryError if no member of a batch determines its linear solution.
 
     Args:
-        gap: (*B,) second-smallest over largest eigenvalue of the normal matrix, as returned by
-            smallest_singular_vector.
-        dtype: of the points: their rounding alone gives a gap of about its epsilon squared.
+        gap: (*B,) ratio of the second-smallest to the largest eigenvalue of the normal matrix, as
+            returned by smallest_singular_vector.
+        dtype: Dtype of the points, whose rounding alone gives a gap of about its epsilon squared.
+        model: Name of the model, for the message.
+        hint: Possible causes, for the message.
     """
     if _traced() or gap.numel() == 0:
         return
@@ -177,7 +184,7 @@ def check_determined(gap: Tensor, dtype: torch.dtype, model: str, hint: str) -> 
 
 
 def check_nonzero(**matrices: Tensor) -> None:
-    """Raise DegenerateGeometryError where a (*B, 3, 3) matrix of a batch is zero."""
+    """Raise DegenerateGeometryError if a matrix of a batch (*B, 3, 3) is zero."""
     if _traced():
         return
     for name, M in matrices.items():
@@ -186,7 +193,7 @@ def check_nonzero(**matrices: Tensor) -> None:
 
 
 def check_invertible(**matrices: Tensor) -> None:
-    """Raise DegenerateGeometryError where a (*B, 3, 3) matrix of a batch is singular."""
+    """Raise DegenerateGeometryError if a matrix of a batch (*B, 3, 3) is singular."""
     if _traced():
         return
     for name, M in matrices.items():

@@ -15,17 +15,21 @@ from .checks import check_intrinsics, check_points
 
 
 def to_homogeneous(x: Tensor) -> Tensor:
-    """Append a 1 to points: (*B, N, D) -> (*B, N, D + 1). Computed by kornia."""
+    """Append a 1 to points: (*B, N, D) -> (*B, N, D + 1).
+
+    Computed by kornia's ``convert_points_to_homogeneous``.
+    """
     if x.ndim < 2:
         raise InputError(f"points must have shape (*B, N, D), not {tuple(x.shape)}")
     return convert_points_to_homogeneous(x)
 
 
 def from_homogeneous(xh: Tensor) -> Tensor:
-    """Divide by the last coordinate: (*, D + 1) -> (*, D). Points at infinity become infinite.
+    """Divide by the last coordinate: (*, D + 1) -> (*, D).
 
-    Not kornia's ``convert_points_from_homogeneous`` (0.9.0): it returns the numerators unchanged
-    where ``|w| <= 1e-8``, so (2, 4, 0) becomes the finite point (2, 4).
+    Points at infinity become infinite. kornia's ``convert_points_from_homogeneous`` (0.9.0) is not
+    used because it returns the numerators unchanged where ``|w| <= 1e-8``, so that (2, 4, 0)
+    becomes the finite point (2, 4).
     """
     if xh.ndim < 1:
         raise InputError("points must have shape (*, D + 1), not ()")
@@ -33,9 +37,10 @@ def from_homogeneous(xh: Tensor) -> Tensor:
 
 
 def normalize(x: Tensor, K: Tensor) -> Tensor:
-    """Map pixels to normalised coordinates, ``K^-1 x``; lengths are then tangents of angles.
+    """Map pixels to normalised coordinates, ``K^-1 x``.
 
-    Computed by kornia's ``normalize_points_with_intrinsics``, plus the skew, which it ignores.
+    Distances from the origin are then tangents of the angle to the optical axis. Computed by
+    kornia's ``normalize_points_with_intrinsics``, plus the skew, which kornia ignores.
 
     Args:
         x: (*B, N, 2) pixels, undistorted.
@@ -58,8 +63,8 @@ def normalize(x: Tensor, K: Tensor) -> Tensor:
 def denormalize(xn: Tensor, K: Tensor) -> Tensor:
     """Map normalised coordinates to pixels, ``K xn``; the inverse of :func:`normalize`.
 
-    Computed by kornia's ``denormalize_points_with_intrinsics``, plus the skew, which it ignores.
-    Shapes and errors as for :func:`normalize`.
+    Computed by kornia's ``denormalize_points_with_intrinsics``, plus the skew, which kornia
+    ignores. Shapes and errors are those of :func:`normalize`.
     """
     check_points(xn=xn)
     check_intrinsics(xn, K=K)
@@ -71,17 +76,18 @@ def denormalize(xn: Tensor, K: Tensor) -> Tensor:
 def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Move the (weighted) centroid to the origin and scale the mean squared distance to 2.
 
-    The root mean square distance becomes √2, not the mean distance: it conditions as well and is
-    smooth. kornia's ``normalize_points`` (0.9.0) fails under ``torch.func.vmap`` (it writes into a
-    new tensor) and adds 1e-8 to the distance: points that coincide are scaled by 1.4e8.
+    The root mean square distance becomes √2 instead of the mean distance, which conditions as well
+    and is smooth. kornia's ``normalize_points`` (0.9.0) fails under ``torch.func.vmap`` because it
+    writes into a new tensor. It also adds 1e-8 to the distance, so coincident points are scaled by
+    1.4e8.
 
     Args:
-        x: (*B, N, 2).
-        weights: (*B, N) or (N,), not negative.
+        x: (*B, N, 2) points.
+        weights: (*B, N) or (N,) weights, not negative.
 
     Returns:
-        xn: (*B, N, 2) the moved points.
-        T: (*B, 3, 3) with ``xn = T x``. Points that all coincide are centred and keep their scale.
+        xn: (*B, N, 2) normalised points.
+        T: (*B, 3, 3) with ``xn = T x``. If all points coincide, they are centred but not scaled.
 
     Source: Hartley, "In defense of the eight-point algorithm", PAMI 1997; Hartley & Zisserman
     4.4.4.
@@ -93,10 +99,11 @@ def hartley_normalization(x: Tensor, weights: Tensor | None = None) -> tuple[Ten
 def inverse_intrinsics(K: Tensor) -> Tensor:
     """Invert (*B, 3, 3) upper-triangular intrinsics in closed form.
 
-    kornia has no inverse of 3 x 3 intrinsics (its camera classes invert a 4 x 4 matrix).
+    kornia 0.9.0 has no inverse of 3 x 3 intrinsics; its camera classes invert a 4 x 4 matrix.
 
     Raises:
-        InputError: K is singular or not an intrinsic matrix; dtype, NaN.
+        InputError: K is singular or not an intrinsic matrix, its dtype is wrong, or it contains
+            NaN.
     """
     check_intrinsics(K=K)
     return kernels.inverse_intrinsics(K)

@@ -1,12 +1,13 @@
 """Lens distortion in normalised coordinates, and its inverse.
 
-Two models, both with OpenCV's coefficients: ``opencv`` with 4, 5, 8, 12 or 14 (radial, tangential,
-rational, thin prism, tilt), and ``fisheye`` with 4 (Kannala and Brandt 2006). See :mod:`._lens`.
+There are two models, both with OpenCV's coefficients: ``opencv`` with 4, 5, 8, 12 or 14
+coefficients (radial, tangential, rational, thin prism, tilt), and ``fisheye`` with 4 (Kannala and
+Brandt 2006). See :mod:`._lens`.
 
-:func:`distort` is kornia's (0.9), which agrees with OpenCV to rounding. :func:`undistort` is ours:
-at k1 = -0.35 or +0.5 the five fixed-point iterations of kornia and OpenCV are off by more than 1e-6
-on 57 to 74 % of the radii, and neither reports points outside the field of the lens.
-``tests/geometry/test_distortion.py`` measures this again.
+:func:`distort` is computed by kornia (0.9), which agrees with OpenCV to rounding. :func:`undistort`
+is not: at k1 = -0.35 and +0.5, the five fixed-point iterations of kornia and OpenCV are wrong by
+more than 1e-6 at 57 to 74 % of the radii, and neither library reports points outside the field of
+the lens. ``tests/geometry/test_distortion.py`` repeats this measurement.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from .checks import _traced, check_matrices, check_points
 from .coordinates import normalize
 
 _LENGTHS: dict[LensModel, tuple[int, ...]] = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,)}
-_SEARCH_STEPS = 10  # a strong wide angle needs four, a point next to the fold seven
-_CHUNK = 8192  # points: dozens of intermediate tensors stay in the cache and in freed memory
-_TOLERANCE = 1e-9  # focal lengths: the last step; Newton's method squares it
+_SEARCH_STEPS = 10  # a strong wide-angle lens needs four, a point next to the fold seven
+_CHUNK = 8192  # points; dozens of intermediate tensors stay in the cache and reuse memory
+_TOLERANCE = 1e-9  # length of the last step in focal lengths; Newton's method squares the error
 
 
 def distort(xn: Tensor, d: Tensor, model: LensModel = "opencv") -> Tensor:
@@ -41,7 +42,7 @@ def distort(xn: Tensor, d: Tensor, model: LensModel = "opencv") -> Tensor:
         ``(*B, N, 2)`` normalised coordinates with distortion.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, or NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
     """
     _check(xn, d, model)
     if model == "opencv":
@@ -70,25 +71,26 @@ def undistort(
 def undistort(
     xn: Tensor, d: Tensor, model: LensModel = "opencv", *, return_valid: bool = False
 ) -> Tensor | tuple[Tensor, Tensor]:
-    """Return the ideal pinhole points of distorted points, the inverse of :func:`distort`.
+    """Remove lens distortion; the inverse of :func:`distort`.
 
-    Newton's method, started from a table of the radial map and exact to rounding (float32 input is
-    computed in float64). The search is not recorded; two further steps are, and give derivatives
-    with respect to xn and d up to the third order (implicit function theorem).
+    Newton's method starts from a table of the radial map and converges to rounding; float32 input
+    is computed in float64. The search is not recorded for autograd. Two further steps are recorded
+    and give correct derivatives with respect to xn and d up to the third order (implicit function
+    theorem).
 
     Args:
         xn: ``(*B, N, 2)`` normalised coordinates with distortion.
         d: ``(*B, D)`` coefficients in OpenCV's order.
         model: ``opencv`` or ``fisheye``.
-        return_valid: return the points and a mask ``(*B, N)``, false for points outside the field
-            of the lens, beyond the radius at which the model folds back (for a fisheye also 90
-            degrees or more from the axis). Those points are NaN.
+        return_valid: Also return a mask ``(*B, N)`` that is false for points outside the field of
+            the lens: beyond the radius at which the model folds back and, for a fisheye, 90 degrees
+            or more from the axis. Those points are NaN.
 
     Returns:
         ``(*B, N, 2)`` normalised coordinates without distortion, and the mask if asked for.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, or NaN; without `return_valid`
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN; without `return_valid`
             also when points lie outside the field of the lens (inside ``torch.func`` transforms and
             ``torch.compile`` those are NaN instead).
     """
@@ -112,7 +114,7 @@ def undistort(
 
 
 def distort_pixels(x: Tensor, camera: Camera) -> Tensor:
-    """Map pixels ``(N, 2)`` of the ideal pinhole with the same K to pixels of `camera`."""
+    """Map pixels ``(N, 2)`` of the ideal pinhole camera with the same K to pixels of `camera`."""
     K, d = camera.tensors(x.device)
     if d is None:
         return x
@@ -135,10 +137,10 @@ def undistort_pixels(
 def undistort_pixels(
     x: Tensor, camera: Camera, *, return_valid: bool = False
 ) -> Tensor | tuple[Tensor, Tensor]:
-    """Map pixels ``(N, 2)`` of `camera` to pixels of the ideal pinhole with the same K.
+    """Map pixels ``(N, 2)`` of `camera` to pixels of the ideal pinhole camera with the same K.
 
-    With `return_valid` a mask ``(N,)`` is returned too, false for pixels outside the field of the
-    lens, which are NaN; see :func:`undistort`.
+    With `return_valid`, a mask ``(N,)`` is returned too. It is false for pixels outside the field
+    of the lens, which become NaN; see :func:`undistort`.
     """
     K, d = camera.tensors(x.device)
     if d is None:
@@ -153,7 +155,7 @@ def undistort_pixels(
 
 
 def _pixels(xn: Tensor, K: Tensor) -> Tensor:
-    """Return K applied to points, NaN included (:func:`denormalize` refuses it)."""
+    """Apply K to points that may be NaN, which :func:`denormalize` rejects."""
     return xn @ K[:2, :2].mT + K[:2, 2]
 
 
@@ -251,7 +253,7 @@ def _undistort_fisheye(target: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _settled(change: Tensor) -> bool:
-    """Return whether all points have converged or diverged; false where values are not known."""
+    """Return whether all points have converged or diverged; false if values cannot be read."""
     return not _traced() and not bool(((change >= _TOLERANCE) & change.isfinite()).any())
 
 

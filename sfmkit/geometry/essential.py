@@ -1,4 +1,4 @@
-"""The essential matrix, ``xn2^T E xn1 = 0`` in normalised coordinates: estimation and poses."""
+"""The essential matrix, ``xn2^T E xn1 = 0`` in normalised coordinates."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def essential_from_pose(R: Tensor, t: Tensor) -> Tensor:
 
 
 def essential_from_fundamental(F: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
-    """Return ``K2^T F K1``, projected to the essential manifold: (*B, 3, 3), Frobenius norm √2.
+    """Return ``K2^T F K1``, projected to the essential manifold.
 
-    The product is kornia's ``essential_from_fundamental``; see :func:`project_to_essential` for the
-    projection.
+    The result (*B, 3, 3) has the Frobenius norm √2. The product is computed by kornia's
+    ``essential_from_fundamental``; see :func:`project_to_essential` for the projection.
 
     Raises:
         DegenerateGeometryError: F is zero.
@@ -47,10 +47,10 @@ def essential_from_fundamental(F: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
 def project_to_essential(E: Tensor) -> Tensor:
     """Return the essential matrix nearest in direction to E: singular values (1, 1, 0).
 
-    With u, v the left and right null vectors of the rank-two part E', ``E' + [u]x E' [v]x^T`` has
-    the average of its two singular values twice. No SVD is differentiated, so the derivatives are
-    finite on the manifold itself, where those of kornia's ``project_to_essential`` (0.9.0) are not
-    (``tests/geometry/test_kornia.py`` shows it).
+    Let u and v be the left and right null vectors of the rank-two part E'. Both non-zero singular
+    values of ``E' + [u]x E' [v]x^T`` are then the sum of the two singular values of E'. No SVD is
+    differentiated, so the derivatives are finite on the manifold itself, where those of kornia's
+    ``project_to_essential`` (0.9.0) are not (``tests/geometry/test_kornia.py`` shows it).
 
     Args:
         E: (*B, 3, 3), any scale.
@@ -60,7 +60,7 @@ def project_to_essential(E: Tensor) -> Tensor:
 
     Raises:
         DegenerateGeometryError: E is zero.
-        InputError: shape, dtype, NaN.
+        InputError: The shape or dtype is wrong, or a value is NaN.
 
     Source: Hartley & Zisserman 11.7.3 (the definition).
     """
@@ -71,7 +71,7 @@ def project_to_essential(E: Tensor) -> Tensor:
 
 
 def _project(E: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the projection and its unit left null vector (the translation up to its sign)."""
+    """Return the projection and its unit left null vector, the translation up to sign."""
     tiny = torch.finfo(E.dtype).tiny
     E = E / E.detach().flatten(-2).norm(dim=-1)[..., None, None].clamp(min=tiny)
     v, _ = smallest_singular_vector(E)
@@ -88,21 +88,21 @@ def _project(E: Tensor) -> tuple[Tensor, Tensor]:
 def decompose_essential(E: Tensor) -> tuple[Tensor, Tensor]:
     """Return the four poses ``X2 = R X1 + t`` of E: two rotations times two signs of t.
 
-    ``R = cof(E) ∓ [t]x E`` for unit t: closed form without an SVD, and the derivatives are finite
+    The closed form ``R = cof(E) ∓ [t]x E`` for unit t needs no SVD, and its derivatives are finite
     at an exact E. kornia's ``motion_from_essential`` (0.9.0) has non-finite gradients there, and
     its ``decompose_essential_matrix_no_svd`` fails under ``torch.func.vmap``
     (``tests/geometry/test_kornia.py`` shows both).
 
     Args:
-        E: (*B, 3, 3), any scale and sign; projected to the essential manifold first.
+        E: (*B, 3, 3) of any scale and sign; it is first projected to the essential manifold.
 
     Returns:
-        (R, t). R (*B, 4, 3, 3), in the order R1, R1, R2, R2. t (*B, 4, 3) unit, in the order t,
-        -t, t, -t; the largest component of the first is positive.
+        R (*B, 4, 3, 3), in the order R1, R1, R2, R2, and unit t (*B, 4, 3), in the order t, -t, t,
+        -t. The largest component of the first t is positive.
 
     Raises:
         DegenerateGeometryError: E is zero.
-        InputError: shape, dtype, NaN.
+        InputError: The shape or dtype is wrong, or a value is NaN.
 
     Source: Horn, "Recovering baseline and orientation from essential matrix", 1990.
     """
@@ -121,9 +121,9 @@ def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
     """Return all real essential matrices of five matches.
 
     kornia's ``find_essential`` gives the candidates, which are polished on the essential manifold.
-    The polished solutions are constants; two more steps of Newton's method carry the derivatives
-    (first and second order are correct). On 20,000 exact samples the true E is missed by more than
-    1e-6 in 0.01 % under sideways and 0.06 % under forward motion; without polishing (kornia 0.9.0)
+    The polished solutions are constants; two further steps of Newton's method carry the derivatives
+    (first and second order are correct). In 20,000 exact samples, the true E is missed by more than
+    1e-6 in 0.01 % (sideways motion) and 0.06 % (forward motion); without polishing (kornia 0.9.0),
     in 0.12 % and 1.2 % (``benchmarks/geometry.py --peers``). Polishing takes twice kornia's own
     time; the robust search calls kornia's solver directly.
 
@@ -131,11 +131,12 @@ def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
         xn1, xn2: (*B, 5, 2) normalised coordinates.
 
     Returns:
-        (E, valid). E (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary
-        sign; zero where there is no solution. valid (*B, 10) bool, the solutions first.
+        E (*B, 10, 3, 3), each of Frobenius norm √2 (unit translation) and arbitrary sign, zero
+        where there is no solution; and valid (*B, 10) bool. The solutions come first.
 
     Raises:
-        InputError: not exactly 5 matches; shapes, dtypes, devices, NaN.
+        InputError: There are not exactly 5 matches, shapes, dtypes or devices do not fit, or a
+            value is NaN.
 
     Source: Nister, "An efficient solution to the five-point relative pose problem", PAMI 2004.
     """
@@ -151,7 +152,7 @@ def essential_5point(xn1: Tensor, xn2: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return (*B, 10, 3, 3) polished solutions and which of the ten slots hold one."""
+    """Return polished solutions (*B, 10, 3, 3) and a mask (*B, 10) of the slots in use."""
     batch = x1.shape[:-2]
     x1, x2 = x1.reshape(-1, 5, 2), x2.reshape(-1, 5, 2)
     slots, valid = kernels.essential_candidates(x1, x2)
@@ -163,7 +164,7 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     for _ in range(4):
         E, step = _newton_step(E, x1[owner], x2[owner])
         moved = moved + step
-    # A degenerate sample leaves candidates that are not finite, went far, or still move.
+    # Candidates of a degenerate sample are not finite, moved far, or have not converged.
     good = (moved < 1e-2) & (step < 1e-6) & E.isfinite().flatten(-2).all(-1)
     slots[valid], valid[valid.clone()] = E, good
     E, valid = kernels.solutions_first(slots, valid)
@@ -173,13 +174,19 @@ def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
 def _newton_step(
     E: Tensor, x1: Tensor, x2: Tensor, valid: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Return ``exp([a]) E exp([b])`` that meets the five constraints to first order, and max |a|.
+    """Move E along the essential manifold to satisfy the five constraints to first order.
 
-    a and b are the smallest such rotation vectors. Left and right rotations reach every neighbour
-    of E on the essential manifold (in six numbers, one too many).
+    The new E is ``exp([a]) E exp([b])`` with the smallest rotation vectors a and b. Rotations from
+    the left and from the right reach every neighbour of E on the manifold. (They have six numbers,
+    one more than the dimension of the manifold.)
 
     Args:
-        E: (*B, 3, 3). x1, x2: (*B, 5, 2). valid: (*B,); the other members stay unchanged.
+        E: (*B, 3, 3).
+        x1, x2: (*B, 5, 2) normalised coordinates.
+        valid: (*B,) bool; the other members stay unchanged.
+
+    Returns:
+        The new E, and the largest component of ``|a|`` (*B,).
     """
     h1, h2 = (torch.nn.functional.pad(x, (0, 1), value=1.0) for x in (x1, x2))
     lines2, lines1 = h1 @ E.mT, h2 @ E

@@ -1,4 +1,4 @@
-"""The fundamental matrix, ``x2^T F x1 = 0`` in pixels: estimation, epipolar lines and distances."""
+"""The fundamental matrix, ``x2^T F x1 = 0`` in pixels."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from .essential import essential_from_pose
 def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Tensor:
     """Estimate F from 8 or more matches: normalised linear least squares, then rank 2.
 
-    Not kornia's ``find_fundamental`` (0.9.0): on 500 exact sets of 20 matches its median error is
-    6e-14 where this one has 2e-15, and 2e-6 where this one has 9e-12 when the depth of the scene is
-    reduced to 1e-4 (``benchmarks/geometry.py --peers``). kornia takes 0.8 of the time on 20,000
-    matches.
+    kornia's ``find_fundamental`` (0.9.0) is less accurate: on 500 exact sets of 20 matches, its
+    median error is 6e-14 and that of this function 2e-15; with the depth of the scene reduced to
+    1e-4, the errors are 2e-6 and 9e-12 (``benchmarks/geometry.py --peers``). kornia takes 0.8 of
+    the time on 20,000 matches.
 
     Args:
         x1, x2: (*B, N, 2) pixels, N >= 8.
-        weights: (*B, N) or (N,) of the squared algebraic residuals.
+        weights: (*B, N) or (N,) weights of the squared algebraic residuals.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm and rank 2; the sign is arbitrary. Float32 is computed in
+        (*B, 3, 3) of unit Frobenius norm, rank 2 and arbitrary sign. Float32 input is computed in
         float64.
 
     Raises:
-        DegenerateGeometryError: fewer than 8 matches, or matches that do not determine F: on one
-            plane, collinear, repeated (in a batch: when this holds for all members; where it holds
-            for some, their F is finite but meaningless).
-        InputError: shapes, dtypes, devices, NaN.
+        DegenerateGeometryError: There are fewer than 8 matches, or they do not determine F because
+            they are coplanar, collinear or repeated. In a batch, the error is raised only if this
+            holds for all members; if it holds for some, their F is finite but meaningless.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
 
     Source: Hartley & Zisserman 11.2, algorithm 11.1.
     """
@@ -58,19 +58,20 @@ def fundamental_8point(x1: Tensor, x2: Tensor, weights: Tensor | None = None) ->
 def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
     """Return all real fundamental matrices of seven matches.
 
-    kornia's ``find_fundamental`` gives the solutions. They are polished as constants; two more
-    steps of Newton's method carry the derivatives (first and second order are correct), so that
-    the function also works in batches ``*B`` and under ``torch.func.vmap``.
+    kornia's ``find_fundamental`` gives the solutions, which are polished as constants. Two further
+    steps of Newton's method carry the derivatives (first and second order are correct), so the
+    function also works in batches ``*B`` and under ``torch.func.vmap``.
 
     Args:
         x1, x2: (*B, 7, 2) pixels.
 
     Returns:
-        (F, valid). F (*B, 3, 3, 3), one to three solutions of unit Frobenius norm and rank 2,
-        arbitrary sign; zero where there is no solution. valid (*B, 3) bool, the solutions first.
+        F (*B, 3, 3, 3), one to three solutions of unit Frobenius norm, rank 2 and arbitrary sign,
+        zero where there is no solution; and valid (*B, 3) bool. The solutions come first.
 
     Raises:
-        InputError: not exactly 7 matches; shapes, dtypes, devices, NaN.
+        InputError: There are not exactly 7 matches, shapes, dtypes or devices do not fit, or a
+            value is NaN.
 
     Source: Hartley & Zisserman 11.1.2.
     """
@@ -90,7 +91,7 @@ def fundamental_7point(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _all_solutions(x1: Tensor, x2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return (*B, 3, 3, 3) polished solutions and which of the three slots hold one."""
+    """Return polished solutions (*B, 3, 3, 3) and a mask (*B, 3) of the slots in use."""
     batch = x1.shape[:-2]
     x1, x2 = x1.reshape(-1, 7, 2), x2.reshape(-1, 7, 2)
     F, valid = kernels.fundamental_candidates(x1, x2)
@@ -115,8 +116,8 @@ def _seven_point_step(F: Tensor, rows: Tensor, valid: Tensor) -> Tensor:
 def _rank2(F: Tensor) -> Tensor:
     """Return the nearest singular matrix, ``F - (F v) v^T`` with v the last singular vector.
 
-    The same as zeroing the smallest singular value, with a finite derivative when it is zero
-    already.
+    This is equivalent to setting the smallest singular value to zero, but the derivative is finite
+    even if that value is already zero.
     """
     v, _ = smallest_singular_vector(F)
     return F - (F @ v[..., None]) * v[..., None, :]
@@ -146,7 +147,9 @@ def fundamental_from_pose(R: Tensor, t: Tensor, K1: Tensor, K2: Tensor) -> Tenso
 
 
 def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
-    """Return F (*B, 3, 3) of two projection matrices (*B, 3, 4), not rescaled. Computed by kornia.
+    """Return F (*B, 3, 3) of two projection matrices (*B, 3, 4), not rescaled.
+
+    Computed by kornia.
 
     Source: Hartley & Zisserman, eq. 17.3.
     """
@@ -156,17 +159,18 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
 
 
 def epipolar_lines(F: Tensor, x: Tensor) -> Tensor:
-    """Return the lines ``F x`` in the other image: (*B, N, 3) ``(a, b, c)`` with ``a² + b² = 1``.
+    """Return the epipolar lines ``F x`` in the other image.
 
-    ``a u + b v + c`` is then the signed distance of a pixel to the line, in pixels. Computed by
-    kornia's ``compute_correspond_epilines``.
+    Computed by kornia's ``compute_correspond_epilines``.
 
     Args:
-        F: (*B, 3, 3); for lines in image 1 of points of image 2 pass ``F.mT``.
+        F: (*B, 3, 3); for lines in image 1 of points of image 2, pass ``F.mT``.
         x: (*B, N, 2) pixels.
 
     Returns:
-        Lines; the epipole itself has no line and gives zeros.
+        (*B, N, 3) lines ``(a, b, c)`` with ``a² + b² = 1``, so that ``a u + b v + c`` is the signed
+        distance of a pixel (u, v) from the line, in pixels. The epipole itself has no line and
+        gives zeros.
     """
     check_points(x=x)
     check_matrices(x, F=F)
@@ -176,8 +180,8 @@ def epipolar_lines(F: Tensor, x: Tensor) -> Tensor:
 def epipoles(F: Tensor) -> tuple[Tensor, Tensor]:
     """Return the epipoles, ``F e1 = 0`` and ``F^T e2 = 0``: (*B, 3) unit homogeneous pixels.
 
-    Homogeneous because they may lie at infinity (sideways motion); the sign is arbitrary. kornia
-    0.9.0 has no public function for the epipoles.
+    Homogeneous coordinates represent epipoles at infinity (sideways motion); the sign is arbitrary.
+    kornia 0.9.0 has no public function for the epipoles.
 
     Raises:
         DegenerateGeometryError: F is zero.
@@ -193,16 +197,17 @@ def epipoles(F: Tensor) -> tuple[Tensor, Tensor]:
 def signed_sampson_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     """Return the signed first-order distance of matches to the epipolar geometry, in pixels.
 
-    ``x2^T F x1 / sqrt((F x1)_1² + (F x1)_2² + (F^T x2)_1² + (F^T x2)_2²)``: how far the four
-    coordinates of the match have to move, together, to meet the constraint. Zero where both points
-    are the epipoles. kornia 0.9.0 has the unsigned distance only.
+    ``x2^T F x1 / sqrt((F x1)_1² + (F x1)_2² + (F^T x2)_1² + (F^T x2)_2²)`` is the length of the
+    smallest joint displacement of both points that satisfies the epipolar constraint, to first
+    order. It is zero where both points are the epipoles. kornia 0.9.0 has only the unsigned
+    distance.
 
     Args:
-        F: (*B, 3, 3) of any scale; (*B, 1) hypotheses broadcast against shared points.
+        F: (*B, 3, 3) of any scale; hypotheses (*B, 1, 3, 3) broadcast against shared points.
         x1, x2: (*B, N, 2) pixels.
 
     Returns:
-        (*B, N).
+        (*B, N) signed distances in pixels.
 
     Source: Hartley & Zisserman, eq. 11.9; Sampson, "Fitting conic sections to very scattered data",
     1982.
@@ -223,9 +228,10 @@ def squared_sampson_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def squared_symmetric_epipolar_distance(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """Return the squared distances of x2 to the line of x1 plus of x1 to the line of x2, (*B, N).
+    """Return the sum of the squared distances from both epipolar lines, (*B, N) square pixels.
 
-    Square pixels. Arguments as for :func:`signed_sampson_distance`. Computed by kornia's
+    The sum consists of the squared distance of x2 from the line of x1 and that of x1 from the line
+    of x2. Arguments are those of :func:`signed_sampson_distance`. Computed by kornia's
     ``symmetrical_epipolar_distance``.
 
     Source: Hartley & Zisserman, eq. 11.10.

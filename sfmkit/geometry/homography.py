@@ -1,4 +1,4 @@
-"""Homographies ``x2 = H x1`` between pixels: estimation, distances, and their poses and planes."""
+"""Homographies ``x2 = H x1`` between pixels: estimation, distances, poses and planes."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from .lie import hat, so3_exp, sphere_exp, tangent_basis
 def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Tensor:
     """Estimate H from 4 or more matches with the normalised direct linear transform.
 
-    Not kornia's ``find_homography_dlt`` (0.9.0): its gradient is wrong at exact matches (gradcheck
-    fails) and it fails under ``torch.func.vmap`` (``tests/geometry/test_kornia.py`` shows both).
-    Here the null vector is differentiated implicitly.
+    The null vector is differentiated implicitly. kornia's ``find_homography_dlt`` (0.9.0) is not
+    used because its gradient is wrong at exact matches (gradcheck fails) and it fails under
+    ``torch.func.vmap`` (``tests/geometry/test_kornia.py`` shows both).
 
     Args:
         x1, x2: (*B, N, 2) pixels, N >= 4.
-        weights: (*B, N) or (N,) of the squared algebraic residuals.
+        weights: (*B, N) or (N,) weights of the squared algebraic residuals.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm, with positive determinant. Float32 is computed in
+        (*B, 3, 3) of unit Frobenius norm and positive determinant. Float32 input is computed in
         float64.
 
     Raises:
-        DegenerateGeometryError: fewer than 4 matches, or matches that do not determine H: collinear
-            or repeated (in a batch: when this holds for all members; where it holds for some, their
-            H is finite but meaningless).
-        InputError: shapes, dtypes, devices, NaN.
+        DegenerateGeometryError: There are fewer than 4 matches, or they do not determine H because
+            they are collinear or repeated. In a batch, the error is raised only if this holds for
+            all members; if it holds for some, their H is finite but meaningless.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
 
     Source: Hartley & Zisserman 4.1 and 4.4, algorithm 4.2.
     """
@@ -64,21 +64,23 @@ def homography_dlt(x1: Tensor, x2: Tensor, weights: Tensor | None = None) -> Ten
 
 
 def homography_4point(x1: Tensor, x2: Tensor) -> Tensor:
-    """Return H of exactly four matches in closed form: products of 3 x 3 determinants.
+    """Return H of exactly four matches in closed form, from products of 3 x 3 determinants.
 
-    Not kornia's ``get_perspective_transform`` (0.9.0): with one repeated point in a batch its
-    values and derivatives are not finite, or it raises (8 x 8 systems); here they are finite.
-    1000 samples take 3.7 times as long as kornia's (``benchmarks/geometry.py``).
+    The values and derivatives are finite even if a sample of the batch repeats a point. kornia's
+    ``get_perspective_transform`` (0.9.0) solves 8 x 8 systems; it then raises an error, or its
+    values and derivatives are not finite. For 1000 samples, this function takes 3.7 times as long
+    as kornia's (``benchmarks/geometry.py``).
 
     Args:
-        x1, x2: (*B, 4, 2) pixels, no three on a line.
+        x1, x2: (*B, 4, 2) pixels, no three of them collinear.
 
     Returns:
-        (*B, 3, 3) of unit Frobenius norm and positive determinant; zero or singular when three
-        points lie on a line.
+        (*B, 3, 3) of unit Frobenius norm and positive determinant; zero or singular if three points
+        are collinear.
 
     Raises:
-        InputError: not exactly 4 matches; shapes, dtypes, devices, NaN.
+        InputError: There are not exactly 4 matches, shapes, dtypes or devices do not fit, or a
+            value is NaN.
 
     Source: Hartley & Zisserman 2.3, each set of four points as a projective basis.
     """
@@ -96,8 +98,8 @@ def _oriented(H: Tensor) -> Tensor:
 def transfer(H: Tensor, x: Tensor) -> Tensor:
     """Return ``H x`` in pixels, (*B, N, 2); infinite where H maps a point to infinity.
 
-    Not kornia's ``transform_points`` (0.9.0): it does not divide where the third coordinate is
-    below 1e-8, which gives a wrong finite point.
+    kornia's ``transform_points`` (0.9.0) is not used because it does not divide where the third
+    coordinate is below 1e-8, which gives a wrong finite point.
     """
     check_points(x=x)
     check_matrices(x, H=H)
@@ -107,7 +109,8 @@ def transfer(H: Tensor, x: Tensor) -> Tensor:
 def squared_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
     """Return the squared distances of x2 from ``H x1``, (*B, N) square pixels.
 
-    Infinite where H maps x1 to infinity. Computed by kornia's ``oneway_transfer_error``.
+    The distance is infinite where H maps x1 to infinity. Computed by kornia's
+    ``oneway_transfer_error``.
 
     Source: Hartley & Zisserman, eq. 4.6.
     """
@@ -132,11 +135,11 @@ def squared_symmetric_transfer_error(H: Tensor, x1: Tensor, x2: Tensor) -> Tenso
 
 
 def squared_homography_sampson_distance(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """Return the squared first-order distances of matches to ``x2 = H x1``, (*B, N) square pixels.
+    """Return the squared Sampson distances of matches to ``x2 = H x1``, (*B, N) square pixels.
 
-    The correction is shared by the four coordinates of a match: comparable with the Sampson
-    distance to an epipolar geometry. Infinite where it is not defined. Computed by kornia's
-    ``sampson_homography_distance``.
+    The first-order correction is distributed over the four coordinates of a match, so the distance
+    is comparable with the Sampson distance to an epipolar geometry. It is infinite where it is not
+    defined. Computed by kornia's ``sampson_homography_distance``.
 
     Source: Hartley & Zisserman 4.2.6.
     """
@@ -144,7 +147,7 @@ def squared_homography_sampson_distance(H: Tensor, x1: Tensor, x2: Tensor) -> Te
 
 
 def _by_kornia(distance, H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """Call one of kornia's squared distances, which take (B, 3, 3) and (B, N, 2), with any *B."""
+    """Call a squared distance of kornia, which takes (B, 3, 3) and (B, N, 2), with any *B."""
     check_points(x1=x1, x2=x2)
     check_matrices(x1, H=H)
     batch = torch.broadcast_shapes(H.shape[:-2], x1.shape[:-2])
@@ -162,13 +165,15 @@ def homography_from_pose(
     The cameras are ``X2 = R X1 + t``. kornia 0.9.0 has no counterpart.
 
     Args:
-        R: (*B, 3, 3).
-        t, n: (*B, 3); n is the unit normal of the plane in camera 1, pointing away from it.
-        d: (*B,) distance of the plane, in the units of t.
+        R: (*B, 3, 3) rotation.
+        t, n: (*B, 3) translation, and unit normal of the plane in the frame of camera 1, pointing
+            away from the camera.
+        d: (*B,) distance of the plane from camera 1, in the units of t.
+        K1, K2: (3, 3) or (*B, 3, 3) intrinsics.
 
     Raises:
         DegenerateGeometryError: d is zero: the plane passes through camera 1.
-        InputError: shapes, dtypes, devices, NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
 
     Source: Hartley & Zisserman, eq. 13.2 (whose normal points the other way).
     """
@@ -194,21 +199,23 @@ def homography_from_pose(
 def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the poses and planes of H: ``K2^-1 H K1 ~ R + t n^T``.
 
-    kornia 0.9.0 has no counterpart; OpenCV's decomposition (Malis & Vargas 2007) has no derivative.
-    This one is differentiated implicitly (least norm where solutions coincide).
+    The solutions are differentiated implicitly (with least norm where solutions coincide). kornia
+    0.9.0 has no counterpart, and OpenCV's decomposition (Malis & Vargas 2007) has no derivative.
 
     Args:
-        H: (*B, 3, 3) pixels, any scale and sign. K1, K2: (3, 3) or (*B, 3, 3).
+        H: (*B, 3, 3) homography of pixels, of any scale and sign.
+        K1, K2: (3, 3) or (*B, 3, 3) intrinsics.
 
     Returns:
-        R (*B, 4, 3, 3), t (*B, 4, 3), n (*B, 4, 3): t in units of the plane's distance, n unit. The
-        third and fourth solutions are the first and second with t and n negated; only those whose
-        plane is in front, ``n · (xn1, 1) > 0``, can have been seen. When t is parallel to n the
-        pairs coincide; under pure rotation t is 0 and n arbitrary.
+        R (*B, 4, 3, 3), t (*B, 4, 3) in units of the distance of the plane, and unit n (*B, 4, 3).
+        The third and fourth solutions are the first and second with t and n negated. The plane is
+        visible only in those solutions in which it is in front of the camera,
+        ``n · (xn1, 1) > 0``. If t is parallel to n, the pairs coincide; for a pure rotation, t is 0
+        and n is arbitrary.
 
     Raises:
         DegenerateGeometryError: H is singular.
-        InputError: shapes, dtypes, devices, NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
 
     Source: Ma, Soatto, Kosecka & Sastry, An Invitation to 3-D Vision, theorem 5.19.
     """
@@ -221,8 +228,8 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
     scale0, R0, t0, n0, inverse = detached(_decompose, A)
     basis = tangent_basis(n0)
     step = torch.zeros_like(inverse[..., 0])
-    # Two steps of Newton's method with a constant derivative: the first makes the first derivatives
-    # correct, the second the second derivatives.
+    # Two steps of Newton's method with a constant derivative: the first step gives correct first
+    # derivatives, the second step correct second derivatives.
     for _ in range(2):
         scale, R, t, n = _moved(scale0, R0, t0, n0, basis, step)
         residual = (
@@ -236,17 +243,17 @@ def decompose_homography(H: Tensor, K1: Tensor, K2: Tensor) -> tuple[Tensor, Ten
 def _moved(
     scale: Tensor, R: Tensor, t: Tensor, n: Tensor, basis: Tensor, step: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the solution after a step in (ω, t, turn of n, log scale)."""
+    """Return the solution after a step in (ω, t, rotation of n, log scale)."""
     turn = (basis @ step[..., 6:8, None]).squeeze(-1)
     R = so3_exp(step[..., :3]) @ R
     return scale * step[..., 8].exp(), R, t + step[..., 3:6], sphere_exp(n, turn)
 
 
 def _decompose(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Solve ``scale A = R + t n^T``: scale, R, t, n and the pseudo-inverse of the derivative.
+    """Solve ``scale A = R + t n^T`` for scale, R, t and n.
 
-    The derivative is that of the right side minus the left with respect to (ω, t, turn of n,
-    log scale).
+    The last result is the pseudo-inverse of the derivative of the right side minus the left side
+    with respect to (ω, t, rotation of n, log scale).
     """
     values, V = eigh(A.mT @ A)
     middle = values[..., 1]

@@ -1,9 +1,9 @@
-"""Refinement of a homography on its eight degrees of freedom, by a marginal loss in pixels.
+"""Refinement of the eight degrees of freedom of a homography with a marginal loss.
 
-The distance of a match is the first-order distance ``r^T (I + A A^T)^-1 r`` with r the residual in
-image 2 and A the derivative of the transfer with respect to x1. Sampson's distance
+The squared distance of a match is the first-order distance ``r^T (I + A A^T)^-1 r``, where r is the
+residual in image 2 and A the derivative of the transfer with respect to x1. The Sampson distance
 (:func:`sfmkit.geometry.homography.squared_homography_sampson_distance`) linearises the two
-algebraic equations of Hartley and Zisserman instead; the two differ by terms of third order in r.
+algebraic equations of Hartley and Zisserman instead. The two differ by terms of third order in r.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from .coordinates import to_homogeneous
 from .kernels import hartley
 from .loss_kernels import LossTerms, loss_terms
 
-_TOLERANCE = 1e-12  # of the cost: the predicted gain at convergence
+_TOLERANCE = 1e-12  # share of the cost: the predicted gain at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
-_DAMPING = (1e-6, 10.0)  # at the start, and the factor by which it changes
+_DAMPING = (1e-6, 10.0)  # initial value, and the factor by which it changes
 _POLISH = 3  # steps; each leaves about a hundredth of the error
 _LEAST_MATCHES = 8
-_HORIZON = 1e-9  # depth, of about 1 elsewhere: keeps points on the horizon finite
+_HORIZON = 1e-9  # lower bound of the depth (about 1 elsewhere): keeps points on the horizon finite
 
 
 def refine_homography(
@@ -41,27 +41,29 @@ def refine_homography(
 ) -> Tensor:
     """Minimise the marginal loss of the first-order distances of a homography.
 
-    Levenberg-Marquardt from H. Matches beyond the threshold have no weight; the weight of the
-    others falls with their distance. H can move so far that further matches fall within the
-    threshold.
+    The Levenberg-Marquardt algorithm starts from H. Matches beyond the threshold have no weight;
+    the weight of the other matches decreases with their distance. As H changes, further matches
+    can come within the threshold.
 
     The minimum is differentiable with respect to x1, x2 and weights, in reverse and forward mode
-    and more than once (implicit function theorem, exact Hessian); the derivative with respect to
-    the start is zero.
+    and more than once (implicit function theorem, exact Hessian). The derivative with respect to
+    the initial H is zero.
 
     Args:
-        H: ``(*B, 3, 3)`` ``x2 = H x1`` in pixels.
+        H: ``(*B, 3, 3)`` initial homography, ``x2 = H x1`` in pixels.
         x1, x2: ``(*B, N, 2)`` pixels.
-        weights: ``(*B, N)`` or ``(N,)`` of the squared distances, not negative.
-        threshold_px: see :mod:`sfmkit.geometry.losses`.
+        weights: ``(*B, N)`` or ``(N,)`` weights of the squared distances, not negative.
+        threshold_px: Threshold of the marginal loss; see :mod:`sfmkit.geometry.losses`.
+        max_iterations: Maximum number of iterations.
 
     Returns:
-        ``(*B, 3, 3)`` with ``H[2, 2] = 1``. Where fewer than 8 matches lie within the threshold,
-        it is the given H, scaled, with derivative zero.
+        ``(*B, 3, 3)`` with ``H[2, 2] = 1``. If fewer than 8 matches lie within the threshold, the
+        result is the initial H, scaled, and its derivative is zero.
 
     Raises:
-        InputError: shapes, dtypes, NaN, a threshold outside 1e-100 to 1e100.
-        DegenerateGeometryError: coordinates whose squares overflow.
+        InputError: Shapes or dtypes do not fit, a value is NaN, or the threshold is outside 1e-100
+            to 1e100.
+        DegenerateGeometryError: The squares of the coordinates overflow.
 
     Source: Hartley & Zisserman 4.2.6 (distance), A6.2 (iteration); the loss: Barath et al.,
     MAGSAC++, CVPR 2020.
@@ -99,17 +101,17 @@ def refine_homography(
 
 
 class _Evaluated(NamedTuple):
-    """All matches under a homography G of normalised coordinates; components ``(*B, N)``."""
+    """The residuals of all matches for a homography G of normalised coordinates."""
 
     G: Tensor  # (*B, 3, 3)
     h1: Tensor  # (*B, N, 3) homogeneous normalised points of image 1
     image: Tensor  # (*B, N, 2) G h1
     depth: Tensor  # (*B, N) third homogeneous coordinate
-    A: Tensor  # (*B, N, 2, 2) derivative of the image by x1, in the scale of image 2
+    A: Tensor  # (*B, N, 2, 2) derivative of the image with respect to x1, in the scale of image 2
     root: Tensor  # (*B, N, 2, 2) lower Cholesky factor of I + A A^T
     residual: Tensor  # (*B, N, 2) in image 2
     scale: Tensor  # (*B, 1) normalised units of image 2 per pixel
-    ratio: Tensor  # (*B, 1) the scale of image 1 over that of image 2
+    ratio: Tensor  # (*B, 1) scale of image 1 divided by that of image 2
     square: Tensor  # (*B, N) Sampson distance, square pixels; infinite behind the camera
     terms: LossTerms
 
@@ -164,7 +166,7 @@ def _cholesky2(A: Tensor) -> Tensor:
     (a, b), (c, d) = (row.unbind(-1) for row in A.unbind(-2))
     l00 = (1 + a * a + b * b).sqrt()
     l10 = (a * c + b * d) / l00
-    # The determinant 1 + |A|^2 + det(A)^2 as a sum of squares: nothing cancels.
+    # The determinant 1 + |A|^2 + det(A)^2 is a sum of squares, so no digits cancel.
     l11 = (1 + a * a + b * b + c * c + d * d + (a * d - b * c) ** 2).sqrt() / l00
     zero = torch.zeros_like(l00)
     return torch.stack((torch.stack((l00, zero), -1), torch.stack((l10, l11), -1)), -2)
@@ -205,8 +207,8 @@ def _minimise(
 def _linearise(e: _Evaluated, w: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
     """Return the robust Gauss-Newton matrix ``(*B, 8, 8)`` and the exact gradient ``(*B, 8)``.
 
-    With ``S = I + A A^T``, ``z = S^-1 r`` and ``a = A^T z`` the derivative of ``r^T S^-1 r / 2`` is
-    ``-z^T d(image + A a)`` with a held fixed: the Jacobian at the corrected point of image 1.
+    With ``S = I + A A^T``, ``z = S^-1 r`` and ``a = A^T z``, the derivative of ``r^T S^-1 r / 2``
+    is ``-z^T d(image + A a)`` with constant a: the Jacobian at the corrected point of image 1.
     """
     u, v = _whiten(e.root, e.residual)
     z1 = v / e.root[..., 1, 1]

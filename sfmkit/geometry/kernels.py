@@ -1,8 +1,8 @@
 """Unchecked kernels: the inner loops of the geometry and of the robust search.
 
-The functions here do not check shapes, dtypes, values or degeneracy: NaN in gives NaN out. They are
-for code that calls them many times on input that was checked once. The public functions of the
-other modules check their input and then call these.
+These functions do not check shapes, dtypes, values or degeneracy; NaN input gives NaN output. They
+are meant for code that calls them many times on input that was checked once. The public functions
+of the other modules check their input and then call these.
 """
 
 from __future__ import annotations
@@ -51,16 +51,17 @@ def inverse_intrinsics(K: Tensor) -> Tensor:
 
 def normalize(x: Tensor, K: Tensor) -> Tensor:
     """Map pixels (*B, N, 2) to normalised coordinates, ``K^-1 x``."""
-    # kornia ignores the skew K[0, 1]; its share of u is a multiple of v.
+    # kornia ignores the skew K[0, 1], whose contribution to u is proportional to v.
     xn = normalize_points_with_intrinsics(x, K.unsqueeze(-3))
     skew = (K[..., 0, 1] / K[..., 0, 0])[..., None]
     return torch.stack((xn[..., 0] - skew * xn[..., 1], xn[..., 1]), -1)
 
 
 def hartley(x: Tensor, weights: Tensor | None = None) -> Pair:
-    """Move points (*B, N, 2) to centroid 0 and mean squared length 2: the points and T (*B, 3, 3).
+    """Normalise points (*B, N, 2) to centroid 0 and mean squared length 2.
 
-    See :func:`sfmkit.geometry.coordinates.hartley_normalization`.
+    Returns the points and T (*B, 3, 3); see
+    :func:`sfmkit.geometry.coordinates.hartley_normalization`.
     """
     if weights is None:
         centre = x.mean(-2)
@@ -97,13 +98,16 @@ def cofactors(A: Tensor) -> Tensor:
 def epipolar_rows(x1: Tensor, x2: Tensor) -> Tensor:
     """Return (*B, N, 9) rows with ``rows @ F.flatten() = x2^T F x1``."""
     (a, b), (u, v) = x1.unbind(-1), x2.unbind(-1)
-    # One contiguous vector per column: five times as fast as products of (N, 3) tensors.
+    # One contiguous vector per column is five times as fast as products of (N, 3) tensors.
     columns = (u * a, u * b, u, v * a, v * b, v, a, b, torch.ones_like(a))
     return torch.stack(columns, -2).mT
 
 
 def residual_and_lines(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Pair, Pair]:
-    """Return ``x2^T F x1`` and the first two coordinates of ``F x1`` and ``F^T x2``: (*B, N)."""
+    """Return ``x2^T F x1`` and the first two coordinates of ``F x1`` and ``F^T x2``.
+
+    All results have the shape (*B, N).
+    """
     f = F.unsqueeze(-1)
     u1, v1 = x1[..., 0], x1[..., 1]
     u2, v2 = x2[..., 0], x2[..., 1]
@@ -113,7 +117,7 @@ def residual_and_lines(F: Tensor, x1: Tensor, x2: Tensor) -> tuple[Tensor, Pair,
 
 
 def signed_sampson(F: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """Signed Sampson distances (*B, N); zero where both points are the epipoles."""
+    """Return signed Sampson distances (*B, N); zero where both points are the epipoles."""
     r, (a, b), (c, d) = residual_and_lines(F, x1, x2)
     square = a * a + b * b + c * c + d * d
     return r / torch.where(square > 0, square, 1.0).sqrt()
@@ -128,10 +132,11 @@ def transfer(H: Tensor, x: Tensor) -> Pair:
 
 
 def squared_homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
-    """Squared first-order distances (*B, N) of matches to ``x2 = H x1``, for float32 as well.
+    """Return squared first-order distances (*B, N) of matches to ``x2 = H x1``.
 
-    With ``r = x2 - H x1`` and A the derivative of ``H x1``, this is ``r^T (I + A A^T)^-1 r``,
-    written as a ratio of sums of squares, so nothing cancels. It agrees with
+    With ``r = x2 - H x1`` and the derivative A of ``H x1``, the squared distance is
+    ``r^T (I + A A^T)^-1 r``. It is computed as a ratio of sums of squares, so no digits cancel, in
+    float32 either. It agrees with
     :func:`sfmkit.geometry.homography.squared_homography_sampson_distance` to second order in r.
     """
     y, w = transfer(H, x1)
@@ -146,9 +151,10 @@ def squared_homography_sampson(H: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def four_point(x1: Tensor, x2: Tensor) -> Tensor:
-    """Homographies (*B, 3, 3) of four matches (*B, 4, 2), of unit norm and arbitrary sign.
+    """Return homographies (*B, 3, 3) of four matches (*B, 4, 2).
 
-    Zero where all products of the closed form vanish (repeated points).
+    They have unit norm and arbitrary sign. The result is zero where all products of the closed form
+    vanish (repeated points).
     """
     (n1, T1), (n2, T2) = hartley(x1), hartley(x2)
     (s1, c1), (s2, _) = _basis(n1), _basis(n2)
@@ -161,8 +167,10 @@ def four_point(x1: Tensor, x2: Tensor) -> Tensor:
 
 
 def _basis(x: Tensor) -> Pair:
-    """Of four points p: s (*B, 3) with ``p4 ~ Σ s_i p_i``, and the rows ``p2 x p3``, ``p3 x p1``,
-    ``p1 x p2``."""
+    """Express the fourth point of (*B, 4, 2) in the projective basis of the first three.
+
+    Returns s (*B, 3) with ``p4 ~ Σ s_i p_i``, and the rows ``p2 x p3``, ``p3 x p1``, ``p1 x p2``.
+    """
     p1, p2, p3, p4 = convert_points_to_homogeneous(x).unbind(-2)
     cross = torch.stack(
         [torch.linalg.cross(a, b, dim=-1) for a, b in ((p2, p3), (p3, p1), (p1, p2))], -2
@@ -175,7 +183,7 @@ def essential_candidates(xn1: Tensor, xn2: Tensor) -> Pair:
 
     Returns:
         E: (B, 10, 3, 3) of Frobenius norm √2, zero where there is no solution; not polished.
-        valid: (B, 10) bool.
+        valid: (B, 10) bool, whether there is a solution.
     """
     E = find_essential(xn1, xn2)
     valid = E.isfinite().flatten(-2).all(-1)
@@ -187,7 +195,7 @@ def fundamental_candidates(x1: Tensor, x2: Tensor) -> Pair:
 
     Returns:
         F: (B, 3, 3, 3) of unit Frobenius norm, zero where there is no solution; not polished.
-        valid: (B, 3) bool.
+        valid: (B, 3) bool, whether there is a solution.
     """
     F = find_fundamental(x1, x2, method="7POINT")
     size = F.flatten(-2).norm(dim=-1)
@@ -197,16 +205,17 @@ def fundamental_candidates(x1: Tensor, x2: Tensor) -> Pair:
 
 
 def solutions_first(M: Tensor, valid: Tensor) -> Pair:
-    """Sort the slots of (B, S, 3, 3) solutions so that the valid ones come first; zero the rest."""
+    """Move the valid solutions of (B, S, 3, 3) to the first slots, and set the others to zero."""
     order = (~valid).to(torch.uint8).argsort(dim=-1, stable=True)
     M = torch.where(valid[..., None, None], M, 0.0)
     return torch.take_along_dim(M, order[..., None, None], 1), valid.gather(1, order)
 
 
 def one_pose(E: Tensor) -> Pair:
-    """One of the poses (R, unit t) of an E of Frobenius norm √2, in closed form.
+    """Return one of the poses (R, unit t) of an E of Frobenius norm √2, in closed form.
 
-    An E slightly off the essential manifold is replaced by a nearby one: R is a rotation anyway.
+    R is a rotation matrix even if E lies slightly off the essential manifold; the pose is then that
+    of a nearby essential matrix.
     """
     a, b, c = E.unbind(-1)
     crosses = torch.stack(

@@ -1,11 +1,11 @@
-"""Rotations SO(3) and unit directions S^2, the two curved spaces of a relative pose.
+"""Rotations SO(3) and unit directions S^2, the two manifolds of a relative pose.
 
-A small change of the pose is five numbers ``(omega, b)``: ``R <- exp(omega) R`` with omega a
-rotation vector in radians, and ``t <- exp_t(B b)`` with B an orthonormal basis of the plane tangent
-to the sphere at t.
+A small change of the pose consists of five numbers ``(omega, b)``: ``R <- exp(omega) R`` with a
+rotation vector omega in radians, and ``t <- exp_t(B b)`` with an orthonormal basis B of the plane
+that is tangent to the sphere at t.
 
-The functions here run in the inner loops of the refinements and check shapes and types only: NaN in
-gives NaN out.
+The functions run in the inner loops of the refinements and check only shapes and types; NaN input
+gives NaN output.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ _SERIES = 1e-3  # below this squared angle, Taylor series to the 8th power are e
 
 
 def hat(w: Tensor) -> Tensor:
-    """Return ``[w]x (*B, 3, 3)`` with ``[w]x v = w x v``, for w ``(*B, 3)``. Computed by kornia."""
+    """Return ``[w]x (*B, 3, 3)`` with ``[w]x v = w x v``, for w ``(*B, 3)``.
+
+    Computed by kornia's ``cross_product_matrix``.
+    """
     check_shapes((3,), w=w)
     return cross_product_matrix(w)
 
@@ -29,7 +32,8 @@ def hat(w: Tensor) -> Tensor:
 def so3_exp(w: Tensor) -> Tensor:
     """Return the rotation by |w| radians about w: ``(*B, 3)`` to ``(*B, 3, 3)``.
 
-    Smooth everywhere, zero included. Computed by kornia's ``axis_angle_to_rotation_matrix``.
+    The function is smooth everywhere, including zero. Computed by kornia's
+    ``axis_angle_to_rotation_matrix``.
 
     Source: Rodrigues' formula; Hartley and Zisserman, 2nd ed., appendix A4.3.2.
     """
@@ -40,12 +44,12 @@ def so3_exp(w: Tensor) -> Tensor:
 def so3_log(R: Tensor) -> Tensor:
     """Return the rotation vector, |w| <= pi, of R: ``(*B, 3, 3)`` to ``(*B, 3)``.
 
-    Accurate and smooth at the identity. Computed from the unit quaternion, whose outer product with
-    itself is linear in R; its largest column is well away from zero for every R, half turns
-    included (where w jumps between two equal answers).
+    The function is accurate and smooth at the identity. It is computed from the unit quaternion,
+    whose outer product with itself is linear in R. The largest column of that product is well away
+    from zero for every R, including rotations by 180 degrees (where w is discontinuous).
 
-    Not kornia's ``rotation_matrix_to_axis_angle`` (0.9.0): its second derivative at the identity is
-    wrong (gradgradcheck fails there; see ``tests/geometry/test_kornia.py``).
+    kornia's ``rotation_matrix_to_axis_angle`` (0.9.0) is not used because its second derivative at
+    the identity is wrong (gradgradcheck fails; see ``tests/geometry/test_kornia.py``).
 
     Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, JGCD 2000
     (the matrix).
@@ -69,7 +73,7 @@ def so3_log(R: Tensor) -> Tensor:
     square = (v * v).sum(-1)
     small = square < _SERIES
     length = torch.where(small, 1.0, square).sqrt()
-    # tan^2 of the half angle; used only where it is small
+    # Square of the tangent of half the angle; used only where it is small.
     u = square / torch.where(small, s * s, 1.0)
     series = (
         2 / torch.where(small, s, 1.0) * (1 - u / 3 + u * u / 5 - u**3 / 7 + u**4 / 9 - u**5 / 11)
@@ -80,11 +84,11 @@ def so3_log(R: Tensor) -> Tensor:
 def tangent_basis(t: Tensor) -> Tensor:
     """Return an orthonormal basis ``(*B, 3, 2)`` of the plane perpendicular to t ``(*B, 3)``.
 
-    t, b1, b2 are right-handed. Continuous except where the axis with the smallest component of t
-    changes. kornia 0.9.0 has no counterpart.
+    t, b1, b2 form a right-handed system. The basis is continuous except where the axis with the
+    smallest component of t changes. kornia 0.9.0 has no counterpart.
 
-    Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that sends t
-    to an axis).
+    Source: Hartley and Zisserman, 2nd ed., appendix A4.1.2 (a Householder reflection that maps t to
+    an axis).
     """
     check_shapes((3,), t=t)
     t = t / t.norm(dim=-1, keepdim=True)
@@ -97,7 +101,7 @@ def tangent_basis(t: Tensor) -> Tensor:
 
 
 def sphere_exp(t: Tensor, v: Tensor) -> Tensor:
-    """Move |v| radians along the great circle from unit t in the tangent direction v.
+    """Move from unit t by |v| radians along the great circle in the tangent direction v.
 
     t and v are ``(*B, 3)``. kornia 0.9.0 has no counterpart.
     """

@@ -16,16 +16,16 @@ def clip_lines(
     Pixel centres are at integers, so the area reaches from -0.5 to w - 0.5 and h - 0.5.
 
     Args:
-        lines: (*B, N, 3) with ``a x + b y + c = 0``.
-        size_wh: image size in pixels.
-        margin: width by which the area is extended on every side, pixels.
+        lines: (*B, N, 3) coefficients (a, b, c) of ``a x + b y + c = 0``.
+        size_wh: Width and height of the image in pixels.
+        margin: Width by which the area is extended on every side, pixels.
 
     Returns:
-        segments (*B, N, 2, 2), the two ends on the border, and crosses (*B, N) bool, whether a line
-        has a part of positive length in the area. Segments of the other lines are not meaningful.
+        Segments (*B, N, 2, 2) with the two ends on the border, and a mask (*B, N) of the lines that
+        cross the area in a segment of positive length. The segments of other lines have no meaning.
 
     Raises:
-        InputError: lines of another shape or type.
+        InputError: The shape or type of the lines is wrong.
     """
     check_shapes((3,), lines=lines)
     low = lines.new_tensor([-0.5 - margin, -0.5 - margin])
@@ -35,7 +35,7 @@ def clip_lines(
     unit = normal / length
     foot = -unit * c / length
     along = torch.stack([unit[..., 1], -unit[..., 0]], -1)
-    free = along == 0  # parallel to two sides: between them or outside
+    free = along == 0  # parallel to two sides: the line is between them or outside
     s = torch.stack([(low - foot) / along, (high - foot) / along])
     enter = torch.where(free, -torch.inf, s.amin(0)).amax(-1, keepdim=True)
     leave = torch.where(free, torch.inf, s.amax(0)).amin(-1, keepdim=True)

@@ -1,18 +1,19 @@
-"""Robust losses of squared residuals, and MAGSAC++'s marginal loss, which needs no noise level.
+"""Robust losses of squared residuals, including the marginal loss of MAGSAC++.
 
-The functions run in the inner loops of the refinements and check types and scales only: a NaN
-residual gives a NaN value. :mod:`.losses` has the public functions, which refuse it.
+The functions run in the inner loops of the refinements and check only types and scales; a NaN
+residual gives a NaN value. The public functions in :mod:`.losses` reject NaN.
 
-The marginal loss. A match's residual r is taken to be the length of a four-vector of Gaussian noise
-(two image points) of standard deviation σ, cut off at ``k σ`` with k the 99 % quantile of the chi
-distribution with four degrees of freedom. σ is not known: it is uniform up to
-``σ_max = threshold / k``. Averaging over σ leaves, with ``u = r² / 2σ_max²``,
+The marginal loss needs no noise level. The residual r of a match is modelled as the length of a
+four-vector of Gaussian noise (two image points) with the standard deviation σ, cut off at ``k σ``,
+where k is the 99 % quantile of the chi distribution with four degrees of freedom. σ is unknown and
+modelled as uniform up to ``σ_max = threshold / k``. The average over σ is, with
+``u = r² / 2σ_max²``,
 
     weight(r) ∝ Γ(3/2, u) - Γ(3/2, k²/2)          (the weight of a match in a least-squares fit)
     loss(r)   ∝ ∫_0^r s weight(s) ds ∝ u Γ(3/2, u) + γ(5/2, u) - u Γ(3/2, k²/2)
 
-zero, or constant, beyond the threshold: no inlier/outlier decision is made inside it, and no noise
-level is set.
+Beyond the threshold, the weight is zero and the loss constant. Within the threshold, no match is
+classified as an inlier or outlier.
 
 Source: Baráth, Noskova, Ivashechkin & Matas, "MAGSAC++, a fast, reliable and accurate robust
 estimator", CVPR 2020.
@@ -53,13 +54,15 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
     """Evaluate a loss at squared residuals of any shape.
 
     Args:
-        scale: positive, in units of the residual: where ``huber`` becomes linear, where ``cauchy``
-            levels off, or, for ``marginal``, the threshold beyond which a residual has no weight.
-            ``squared`` ignores it.
+        loss: Name of the loss.
+        square: Squared residuals.
+        scale: Scale in units of the residual: the residual at which ``huber`` becomes linear and
+            ``cauchy`` begins to level off, or the threshold beyond which a residual has no weight
+            for ``marginal``. ``squared`` ignores it.
 
     Raises:
-        InputError: unknown loss, residuals that are not floats, or a scale outside 1e-100 to 1e100,
-            whose powers leave the range of floats.
+        InputError: The loss is unknown, the residuals are not floats, or the scale is outside
+            1e-100 to 1e100, so that its powers leave the range of floats.
     """
     check_kind(square=square)
     if loss != "squared":
@@ -86,18 +89,18 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
 def marginal_weight(square: Tensor, threshold: float) -> Tensor:
     """Return the weight of squared residuals in a least-squares fit.
 
-    1 at zero, 0 from the threshold on.
+    The weight is 1 at zero and 0 from the threshold on.
     """
     return loss_terms("marginal", square, threshold).slope
 
 
 def marginal_score(square: Tensor, threshold: float) -> Tensor:
-    """Return the score of squared residuals, one minus the marginal loss.
+    """Return the score of squared residuals, one minus the normalised marginal loss.
 
-    1 at zero, 0 from the threshold on.
+    The score is 1 at zero and 0 from the threshold on.
 
     Raises:
-        InputError: residuals that are not floats, or a threshold outside 1e-100 to 1e100.
+        InputError: The residuals are not floats, or the threshold is outside 1e-100 to 1e100.
     """
     check_kind(square=square)
     check_scale(threshold=threshold)
@@ -117,8 +120,8 @@ def _squared(scale: float, dtype: torch.dtype) -> float:
 
 def _incomplete_gamma(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return u cut off at k²/2, the lower incomplete gamma γ(3/2, u), and ``sqrt(u) exp(-u)``."""
-    u = u.clamp(1e-30, _U)  # not 0: the root has no slope there
-    small = u < 1e-3  # where the difference below cancels
+    u = u.clamp(1e-30, _U)  # not 0, where the derivative of the root is infinite
+    small = u < 1e-3  # where the difference below loses digits by cancellation
     v = torch.where(small, u, 0.0)
     series = v**1.5 * (2 / 3 - v * (2 / 5 - v * (1 / 7 - v / 27)))
     w = torch.where(small, 1.0, u)

@@ -1,7 +1,7 @@
-"""Robust losses of squared residuals, and MAGSAC++'s marginal loss, which needs no noise level.
+"""Robust losses of squared residuals, including the marginal loss of MAGSAC++.
 
-kornia 0.9.0 has none of these: its losses are means over images, without curvature or scale.
-:mod:`.loss_kernels` has the formulas and their source.
+kornia 0.9.0 has no counterparts: its losses are means over images, without curvature or scale.
+:mod:`.loss_kernels` contains the formulas and their source.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
     """Evaluate a loss at squared residuals of any shape.
 
     Args:
-        scale: positive, in units of the residual: where ``huber`` becomes linear, where ``cauchy``
-            levels off, or, for ``marginal``, the threshold beyond which a residual has no weight.
-            ``squared`` ignores it.
+        loss: Name of the loss.
+        square: Squared residuals.
+        scale: Scale in units of the residual: the residual at which ``huber`` becomes linear and
+            ``cauchy`` begins to level off, or the threshold beyond which a residual has no weight
+            for ``marginal``. ``squared`` ignores it.
 
     Raises:
-        InputError: unknown loss, residuals that are not floats or not finite, or a scale outside
-            1e-100 to 1e100, whose powers leave the range of floats.
+        InputError: The loss is unknown, the residuals are not floats or not finite, or the scale is
+            outside 1e-100 to 1e100, so that its powers leave the range of floats.
     """
     check_kind(square=square)
     check_values(square=square)
@@ -35,21 +37,21 @@ def loss_terms(loss: Loss, square: Tensor, scale: float) -> LossTerms:
 def marginal_weight(square: Tensor, threshold: float) -> Tensor:
     """Return the weight of squared residuals in a least-squares fit.
 
-    1 at zero, 0 from the threshold on.
+    The weight is 1 at zero and 0 from the threshold on.
 
     Raises:
-        InputError: as for :func:`loss_terms`.
+        InputError: As for :func:`loss_terms`.
     """
     return loss_terms("marginal", square, threshold).slope
 
 
 def marginal_score(square: Tensor, threshold: float) -> Tensor:
-    """Return the score of squared residuals, one minus the marginal loss.
+    """Return the score of squared residuals, one minus the normalised marginal loss.
 
-    1 at zero, 0 from the threshold on.
+    The score is 1 at zero and 0 from the threshold on.
 
     Raises:
-        InputError: as for :func:`loss_terms`.
+        InputError: As for :func:`loss_terms`.
     """
     check_kind(square=square)
     check_values(square=square)

@@ -1,6 +1,7 @@
 """Relative poses ``X2 = R X1 + t``: choice among candidates, and errors against the truth.
 
-Angles are computed by arc tangents: an arc cosine has no digits left near 0 and 180 degrees.
+Angles are computed by arc tangents, because an arc cosine loses its precision near 0 and 180
+degrees.
 """
 
 from __future__ import annotations
@@ -22,18 +23,19 @@ from .checks import _traced, check_kind, check_matrices, check_points, check_sha
 def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
     """Return which matches lie in front of both cameras, ``(*B, N)`` bool.
 
-    Computed from the signs of the two depths at the midpoint of the shortest segment between the
-    rays, without triangulation or division. Parallel rays (a point at infinity) count as not in
-    front: they decide nothing. kornia 0.9.0 has no counterpart.
+    The result follows from the signs of the two depths at the midpoint of the shortest segment
+    between the rays, without triangulation or division. Parallel rays (a point at infinity) are
+    regarded as not in front, because they do not distinguish the candidates. kornia 0.9.0 has no
+    counterpart.
 
     Args:
         xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
-        R, t: ``(*B, 3, 3)``, ``(*B, 3)``. For the four candidates ``(*B, 4, 3, 3)``, ``(*B, 4, 3)``
-            give the points a dimension to broadcast against, ``xn1[..., None, :, :]``; the mask is
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose. For four candidates ``(*B, 4, 3, 3)``,
+            ``(*B, 4, 3)``, add a dimension to the points, ``xn1[..., None, :, :]``; the mask is
             then ``(*B, 4, N)``.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, NaN, or a zero t.
+        InputError: Shapes, dtypes or devices do not fit, a value is NaN, or t is zero.
 
     Source: Hartley and Zisserman, 2nd ed., section 9.6.3; depths as triple products of the rays.
     """
@@ -49,24 +51,23 @@ def cheirality(xn1: Tensor, xn2: Tensor, R: Tensor, t: Tensor) -> Tensor:
 def choose_pose(
     R4: Tensor, t4: Tensor, xn1: Tensor, xn2: Tensor, weights: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Choose, per batch item, the candidate pose with most matches in front of both cameras.
+    """Return the candidate pose with the most matches in front of both cameras.
 
     kornia's ``motion_from_essential_choose_solution`` (0.9.0) takes E, not candidates. It
     triangulates all matches once per candidate, which takes about 30 times as long as
     :func:`decompose_essential` and this function (``benchmarks/geometry.py --peers``).
 
     Args:
-        R4, t4: ``(*B, C, 3, 3)``, ``(*B, C, 3)`` candidates (C = 4 from an essential matrix).
+        R4, t4: ``(*B, C, 3, 3)``, ``(*B, C, 3)`` candidates (C = 4 for an essential matrix).
         xn1, xn2: ``(*B, N, 2)`` normalised image coordinates.
-        weights: ``(*B, N)`` non-negative, counted instead of ones (inliers only: pass the mask as 0
-            and 1).
+        weights: ``(*B, N)`` weights of the matches, not negative; 0 and 1 to count only inliers.
 
     Returns:
-        R ``(*B, 3, 3)``, t ``(*B, 3)`` and the counts ``(*B, C)`` of all candidates. When two
-        counts are about equal the matches do not decide (pure rotation).
+        R ``(*B, 3, 3)``, t ``(*B, 3)`` and the counts ``(*B, C)`` of all candidates. If two counts
+        are almost equal, the matches do not determine the pose (pure rotation).
 
     Raises:
-        InputError: as :func:`cheirality`.
+        InputError: As for :func:`cheirality`.
     """
     check_points(weights=weights, xn1=xn1, xn2=xn2)
     check_kind(R4=R4, t4=t4)
@@ -89,13 +90,13 @@ def choose_pose(
 
 
 def relative_pose(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the pose R ``(*B, 3, 3)``, t ``(*B, 3)`` of camera 2 from camera 1.
+    """Return the pose R ``(*B, 3, 3)``, t ``(*B, 3)`` of camera 2 with respect to camera 1.
 
-    Both are given from the world, ``Xi = Ri X + ti``. Computed by kornia's
+    The given poses map the world to the cameras, ``Xi = Ri X + ti``. Computed by kornia's
     ``relative_camera_motion``.
 
     Raises:
-        InputError: shapes, dtypes, devices, NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
     """
     check_matrices(R1=R1, R2=R2)
     check_matrices(R1, shape=(3,), t1=t1, t2=t2)
@@ -108,15 +109,15 @@ def relative_pose(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tenso
 
 
 def se3_from_pose(R: Tensor, t: Tensor) -> Se3:
-    """Return a pose as kornia's ``Se3``, whose action on points is ``R X + t``.
+    """Convert a pose to a kornia ``Se3``, whose action on points is ``R X + t``.
 
     Args:
-        R: ``(3, 3)`` or ``(B, 3, 3)``: Se3 takes at most one batch dimension. t: ``(3,)`` or
-            ``(B, 3)``.
+        R: ``(3, 3)`` or ``(B, 3, 3)`` rotation; Se3 supports at most one batch dimension.
+        t: ``(3,)`` or ``(B, 3)`` translation.
 
     Raises:
-        InputError: shapes, dtypes, devices, NaN, or forward mode: kornia (0.9.0) stores t as a
-            parameter and loses its tangent.
+        InputError: Shapes, dtypes or devices do not fit, a value is NaN, or forward mode is used:
+            kornia (0.9.0) stores t as a parameter and loses its tangent.
     """
     check_matrices(R=R)
     check_matrices(R, shape=(3,), t=t)
@@ -131,7 +132,10 @@ def se3_from_pose(R: Tensor, t: Tensor) -> Se3:
 
 
 def pose_from_se3(pose: Se3) -> tuple[Tensor, Tensor]:
-    """Return R ``(*B, 3, 3)`` and t ``(*B, 3)`` of kornia's ``Se3``; see :func:`se3_from_pose`."""
+    """Convert a kornia ``Se3`` to R ``(*B, 3, 3)`` and t ``(*B, 3)``.
+
+    The inverse of :func:`se3_from_pose`.
+    """
     M = pose.matrix()
     return M[..., :3, :3], M[..., :3, 3]
 
@@ -153,14 +157,16 @@ def rotation_error(R1: Tensor, R2: Tensor) -> Tensor:
 def translation_error(t1: Tensor, t2: Tensor, sign_invariant: bool = False) -> Tensor:
     """Return the angle between two translations in degrees, ``(*B,)``, in [0, 180].
 
-    Their lengths do not matter; NaN where one of them is zero. kornia 0.9.0 has no counterpart.
+    The lengths do not matter. The angle is NaN where a translation is zero. kornia 0.9.0 has no
+    counterpart.
 
     Args:
-        sign_invariant: treat t and -t as equal, result in [0, 90]: an essential matrix alone does
-            not determine the sign.
+        t1, t2: ``(*B, 3)`` translations.
+        sign_invariant: Whether t and -t are equal, so that the result is in [0, 90]; an essential
+            matrix alone does not determine the sign.
 
     Raises:
-        InputError: a translation is zero; shapes, dtypes, devices, NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
     """
     check_matrices(shape=(3,), t1=t1, t2=t2)
     a, b = torch.broadcast_tensors(t1.double(), t2.double())
@@ -176,20 +182,20 @@ def translation_error(t1: Tensor, t2: Tensor, sign_invariant: bool = False) -> T
 def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
     """Return the area under the recall curve up to each threshold, divided by the threshold.
 
-    The exact area under the step curve "share of pairs with an error of at most e", which is the
-    mean of ``max(0, 1 - error / threshold)``: no bins and no interpolation between pairs. kornia
-    0.9.0 has no counterpart.
+    The area is the exact area under the step curve "share of pairs with an error of at most e",
+    which is the mean of ``max(0, 1 - error / threshold)``, without bins and without interpolation
+    between pairs. kornia 0.9.0 has no counterpart.
 
     Args:
-        errors_deg: ``(*B, N)`` one error per pair, degrees: usually the larger of rotation and
-            translation error. NaN and infinity count as failures.
-        thresholds: degrees, positive.
+        errors_deg: ``(*B, N)`` error of each pair in degrees, usually the larger of the rotation
+            and translation errors. NaN and infinity count as failures.
+        thresholds: Positive thresholds in degrees.
 
     Returns:
         ``(*B, len(thresholds))`` in [0, 1].
 
     Raises:
-        InputError: no errors, errors that are not floats, or a threshold that is not positive.
+        InputError: There are no errors, they are not floats, or a threshold is not positive.
     """
     check_kind(errors_deg=errors_deg)
     if errors_deg.ndim < 1 or errors_deg.shape[-1] == 0:
@@ -203,7 +209,7 @@ def pose_auc(errors_deg: Tensor, thresholds: Sequence[float]) -> Tensor:
 
 
 def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
-    """Raise InputError unless R is ``(*B, 3, 3)``, t ``(*B, 3)`` and not zero, both finite."""
+    """Raise InputError unless R ``(*B, 3, 3)`` and t ``(*B, 3)`` are finite and t is not zero."""
     check_matrices(like, R=R)
     check_matrices(R if like is None else like, shape=(3,), t=t)
     if not _traced() and bool((t == 0).all(-1).any()):
@@ -211,7 +217,7 @@ def check_pose(R: Tensor, t: Tensor, like: Tensor | None = None) -> None:
 
 
 def _length(v: Tensor) -> Tensor:
-    """Return |v| with derivative zero, not NaN, at zero."""
+    """Return |v|, whose derivative at zero is zero instead of NaN."""
     square = (v * v).sum(-1)
     zero = square == 0
     return torch.where(zero, 0.0, torch.where(zero, 1.0, square).sqrt())

@@ -1,4 +1,4 @@
-"""Refinement of a relative pose on its five degrees of freedom, without points.
+"""Refinement of the five degrees of freedom of a relative pose, without points.
 
 The cost is a robust loss of the Sampson distances in pixels.
 """
@@ -22,9 +22,9 @@ from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .loss_kernels import Loss, LossTerms, loss_terms
 from .pose import check_pose
 
-_TOLERANCE = 1e-14  # of the cost: the predicted decrease at convergence
+_TOLERANCE = 1e-14  # share of the cost: the predicted decrease at convergence
 _EXACT = 1e-24  # square pixels per match: rounding of the residuals
-_DAMPING = 1e-6  # at the start
+_DAMPING = 1e-6  # initial value
 _POLISH = 2  # steps; each leaves about a tenth of the error
 
 
@@ -33,12 +33,12 @@ class EssentialRefinement:
     """A relative pose at a minimum of the robust Sampson distances.
 
     Attributes:
-        R: (*B, 3, 3).
-        t: (*B, 3) unit, ``X2 = R X1 + t``.
+        R: (*B, 3, 3) rotation.
+        t: (*B, 3) translation of unit length, ``X2 = R X1 + t``.
         cost: (*B, iterations + 1) half the weighted loss, square pixels, at the start and after
             each step.
-        iterations: (*B,) int64, linearisations until convergence.
-        converged: (*B,) bool.
+        iterations: (*B,) int64 number of linearisations until convergence.
+        converged: (*B,) bool, whether the minimisation converged.
     """
 
     R: Tensor
@@ -65,29 +65,32 @@ def refine_essential(
     loss_scale: float = 0.5,
     max_iterations: int = 30,
 ) -> EssentialRefinement:
-    """Minimise the weighted robust Sampson distances from a pose, by Levenberg-Marquardt.
+    """Refine a pose by minimising a weighted robust loss of its Sampson distances.
 
-    Five unknowns: a rotation vector ω, ``R <- exp(ω) R``, and two tangent coordinates of t on the
-    unit sphere. The Jacobian is analytic, and all matches enter through one 9 x 9 matrix (the
-    derivatives of the residual with respect to the entries of E), so that a step on 20,000 matches
-    takes 1.3 ms on one core once the memory is allocated. Near the minimum the curvature of the
-    loss is used too, which makes convergence nearly quadratic under robust losses.
+    The five unknowns of the Levenberg-Marquardt algorithm are a rotation vector ω,
+    ``R <- exp(ω) R``, and two tangent coordinates of t on the unit sphere. The Jacobian is
+    analytic. All matches contribute to one 9 x 9 matrix (the derivatives of the residuals with
+    respect to the entries of E), so a step on 20,000 matches takes 1.3 ms on one core once the
+    memory is allocated. Near the minimum, the curvature of the loss is included, which makes the
+    convergence almost quadratic for robust losses.
 
     The minimum is differentiable with respect to x1, x2, weights, K1 and K2, in reverse and forward
-    mode and more than once (implicit function theorem, exact Hessian); the time of a derivative
+    mode and more than once (implicit function theorem, exact Hessian). The time of a derivative
     does not depend on the number of iterations. The derivative with respect to the initial pose is
     zero.
 
     Args:
         R, t: (*B, 3, 3), (*B, 3) initial pose; the length of t does not matter.
         x1, x2: (*B, N, 2) undistorted pixels, N >= 5.
-        K1, K2: (3, 3) or (*B, 3, 3).
-        weights: (*B, N) or (N,), not negative.
-        loss, loss_scale: see :func:`sfmkit.geometry.losses.loss_terms`; the scale is in pixels.
+        K1, K2: (3, 3) or (*B, 3, 3) intrinsics.
+        weights: (*B, N) or (N,) weights of the matches, not negative.
+        loss, loss_scale: Loss and its scale in pixels; see
+            :func:`sfmkit.geometry.losses.loss_terms`.
+        max_iterations: Maximum number of iterations.
 
     Raises:
-        InputError: shapes, dtypes, devices, NaN, a zero t.
-        DegenerateGeometryError: fewer than 5 matches.
+        InputError: Shapes, dtypes or devices do not fit, a value is NaN, or t is zero.
+        DegenerateGeometryError: There are fewer than 5 matches.
 
     Source: Hartley & Zisserman 11.4.3 (the cost); Triggs et al., Bundle adjustment - a modern
     synthesis, 2000, 4.3 (robust steps); Krantz & Parks, The Implicit Function Theorem, 2002.
@@ -146,7 +149,7 @@ class Objective(NamedTuple):
 
 
 class Bearings(NamedTuple):
-    """Rays, and the maps of lines from normalised coordinates to pixels."""
+    """Rays of the matches, and the maps of lines from normalised coordinates to pixels."""
 
     h1: Tensor  # (*B, 3, N) homogeneous normalised points of image 1
     h2: Tensor
@@ -204,8 +207,8 @@ def _linearise(
         m.h2[..., :, None, :] * ((u * q)[..., None, :] * (m.S1.mT @ line1))[..., None, :, :]
     )
     A = A.flatten(-3, -2)
-    # With the slope alone the quadratic majorises the loss, so that the step descends from any
-    # pose; with the curvature it converges faster, but only near the minimum.
+    # With the slope alone, the quadratic is an upper bound of the loss, so the step decreases the
+    # cost from any pose. With the curvature, it converges faster, but only near the minimum.
     curvature = terms.slope + torch.where(near[..., None], 2 * terms.curvature * r * r, 0.0)
     slope = terms.slope * r
     if m.weights is not None:
@@ -251,7 +254,10 @@ def minimise(
     max_iterations: int,
     polish: int = 0,
 ) -> Minimised[_Evaluated]:
-    """Minimise from (R, t), without checks and derivatives; the state has the pose R, t."""
+    """Minimise from (R, t) without checks and without derivatives.
+
+    The state of the result contains the pose R, t.
+    """
 
     def propose(now: _Evaluated, damping: Tensor, near: Tensor) -> Trial[_Evaluated]:
         by_entry, matrix = _linearise(now.residual, now.terms, m, near)

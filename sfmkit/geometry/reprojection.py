@@ -19,21 +19,19 @@ def project(
 ) -> Tensor:
     """Project points in space to the pixels ``K distort(pi(R X + t))``, ``(*B, N, 2)``.
 
-    kornia's ``project_points`` (0.9.0) ignores the skew of K, takes no homogeneous points, and does
-    not divide where the depth is below 1e-8.
-
-    Points behind the camera project too (through the centre); points in its focal plane come out
-    infinite.
+    Points behind the camera are projected too (through the centre); points in its focal plane
+    become infinite. kornia's ``project_points`` (0.9.0) is not used because it ignores the skew of
+    K, does not accept homogeneous points, and does not divide where the depth is below 1e-8.
 
     Args:
-        X: ``(*B, N, 3)`` points, or ``(*B, N, 4)`` homogeneous ones, which may lie at infinity.
+        X: ``(*B, N, 3)`` points, or ``(*B, N, 4)`` homogeneous points, which may lie at infinity.
         K: ``(*B, 3, 3)`` intrinsics in pixels.
-        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose of the camera; left out, X is in the camera's own
-            frame.
-        distortion: ``(*B, 5)`` k1, k2, p1, p2, k3.
+        R, t: ``(*B, 3, 3)``, ``(*B, 3)`` pose of the camera; by default, X is in the frame of the
+            camera.
+        distortion: ``(*B, 5)`` coefficients k1, k2, p1, p2, k3.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, or NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
 
     Source: Hartley and Zisserman, 2nd ed., equations 6.7 and 7.4 (pinhole); distortion as in
     :func:`distort`.
@@ -71,19 +69,18 @@ def reprojection_residuals(
     d1: Tensor | None = None,
     d2: Tensor | None = None,
 ) -> Tensor:
-    """Return projected minus observed pixels, ``(*B, N, 4)``: x, y in image 1, x, y in image 2.
+    """Return projected minus observed pixels, ``(*B, N, 4)``.
 
-    kornia 0.9.0 has no counterpart.
+    The order is x, y in image 1, x, y in image 2. kornia 0.9.0 has no counterpart.
 
     Args:
-        X: ``(*B, N, 3)`` points in camera 1 (or homogeneous ``(*B, N, 4)``).
+        X: ``(*B, N, 3)`` points in the frame of camera 1, or homogeneous ``(*B, N, 4)``.
         x1, x2: ``(*B, N, 2)`` pixels.
-        K1, K2, R, t: cameras and pose, ``X2 = R X1 + t``.
-        d1, d2: ``(*B, 5)`` distortion of each camera; leave out for pixels that were undistorted
-            before.
+        K1, K2, R, t: Intrinsics and pose, ``X2 = R X1 + t``.
+        d1, d2: ``(*B, 5)`` distortion of each camera; None for undistorted pixels.
 
     Raises:
-        InputError: on shapes, dtypes or devices that do not fit, or NaN.
+        InputError: Shapes, dtypes or devices do not fit, or a value is NaN.
     """
     check_points(x1=x1, x2=x2)
     p1, p2 = project(X, K1, distortion=d1), project(X, K2, R, t, d2)
@@ -103,11 +100,10 @@ def reprojection_error(
     d1: Tensor | None = None,
     d2: Tensor | None = None,
 ) -> Tensor:
-    """Return the root mean square over the two images of the reprojection errors, ``(*B, N)``.
+    """Return the root mean square reprojection error over the two images, ``(*B, N)`` pixels.
 
-    In pixels.
-
-    Arguments and errors as :func:`reprojection_residuals`; the derivative at zero error is zero.
+    Arguments and errors are those of :func:`reprojection_residuals`. The derivative at zero error
+    is zero.
     """
     r = reprojection_residuals(X, x1, x2, K1, K2, R, t, d1, d2)
     square = (r * r).sum(-1) / 2

@@ -1,4 +1,4 @@
-"""The effect of each match on a pose: its derivative, and the change when the match is left out."""
+"""The effect of each match on a pose: derivatives, and the change if it is left out."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from .bundle import TwoViewBundle
 def pose_sensitivity(bundle: TwoViewBundle) -> Tensor:
     """Return the derivative of the pose with respect to each match, ``(*B, N, 5, 4)``.
 
-    Radians per pixel. Rows: rotation vector (axes of camera 2) and the two tangent coordinates of
-    t, as in :class:`Uncertainty`; columns: x1, y1, x2, y2. Exact at the minimum (implicit function
-    theorem with the exact Hessian), for all matches at once and linear in N, where autograd through
+    The unit is radians per pixel. The rows are the rotation vector (axes of camera 2) and the two
+    tangent coordinates of t, as in :class:`Uncertainty`; the columns are x1, y1, x2, y2. The
+    derivative is exact at the minimum (implicit function theorem with the exact Hessian). It is
+    computed for all matches at once in a time linear in N, whereas autograd through
     :func:`bundle_adjust` gives one output at a time.
     """
     state, problem = bundle.state(), bundle.problem()
@@ -41,13 +42,13 @@ class Influence:
     """The effect of each match on the pose.
 
     Attributes:
-        change: ``(*B, N, 5)`` change of the pose if the match were left out, radians (rotation
+        change: ``(*B, N, 5)`` change of the pose if the match is left out, radians (rotation
             vector, tangent of t).
-        leverage: ``(*B, N)`` share of its own residual that a match determines, in [0, 1]; they
-            sum to the number of camera unknowns. The pose follows a match of high leverage
-            regardless of the other matches.
-        cook: ``(*B, N)`` Cook's distance, the square of `change` in units of the uncertainty of the
-            pose, per unknown; values above about ``4 / N`` need attention.
+        leverage: ``(*B, N)`` share of its own residual that a match determines, in [0, 1]. The
+            leverages add up to the number of camera unknowns. The pose follows a match of high
+            leverage regardless of the other matches.
+        cook: ``(*B, N)`` Cook's distance: the square of `change` in units of the uncertainty of the
+            pose, divided by the number of unknowns. Values above about ``4 / N`` need attention.
     """
 
     change: Tensor
@@ -58,10 +59,10 @@ class Influence:
 def influence(bundle: TwoViewBundle) -> Influence:
     """Return the influence of each match on the pose, without refitting.
 
-    `change` is one Newton step of the problem without the match, with the exact Hessian (curvature
-    of the loss and of the projection included): leaving out a match whose point has been eliminated
-    subtracts one ``m x m`` term from the reduced camera matrix. `leverage` is that of the weighted
-    least-squares problem at the minimum.
+    `change` is one Newton step of the problem without the match, with the exact Hessian, which
+    includes the curvature of the loss and of the projection. If a match is left out after the
+    elimination of its point, one ``m x m`` term is subtracted from the reduced camera matrix.
+    `leverage` is that of the weighted least-squares problem at the minimum.
 
     Source: Cook, Detection of influential observations in linear regression, Technometrics 1977;
     Pregibon, Logistic regression diagnostics, Annals of Statistics 1981 (the one-step change).
@@ -74,7 +75,7 @@ def influence(bundle: TwoViewBundle) -> Influence:
         "...jrn,...krn->...njk", Z, Z
     )
     leverage = torch.linalg.solve(system.S[..., None, :, :], own).diagonal(dim1=-2, dim2=-1).sum(-1)
-    # The gradient of one match; that with respect to its point is zero at the minimum.
+    # The gradient of one match; the gradient with respect to its point is zero at the minimum.
     pull = torch.einsum("...rjn,...rn->...nj", camera, r)
     each = hessian(*_one_problem_per_match(state, problem)).camera
     rest = each.sum(-3, keepdim=True) - each
@@ -87,7 +88,7 @@ def influence(bundle: TwoViewBundle) -> Influence:
 
 
 def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Problem]:
-    """Return the same problem as a batch ``(*B, N)`` of problems with one match each."""
+    """Convert the problem to a batch ``(*B, N)`` of problems with one match each."""
     x1, x2, weights, K1, K2 = problem.data
     N = x1.shape[-2]
     R, t, log_focal = (
@@ -101,9 +102,10 @@ def _one_problem_per_match(state: State, problem: Problem) -> tuple[State, Probl
 
 
 def _rows(J: Jacobian) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the Jacobian as tensors.
+    """Convert the Jacobian to tensors.
 
-    They are camera ``(*B, 4, m, N)``, point ``(*B, 4, 3, N)`` and residual ``(*B, 4, N)``.
+    Returns the camera part ``(*B, 4, m, N)``, the point part ``(*B, 4, 3, N)`` and the residual
+    ``(*B, 4, N)``.
     """
     zero = torch.zeros_like(J.residual1[0])
     none = (zero, zero)

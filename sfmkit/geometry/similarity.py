@@ -1,4 +1,4 @@
-"""Similarities: rotation, scale and translation."""
+"""Similarity transformations: scale, rotation and translation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .checks import _traced, check_kind, check_values
 
 
 class Similarity(NamedTuple):
-    """``y = s R x + t``.
+    """The similarity transformation ``y = s R x + t``.
 
     Attributes:
         s: (*B,) positive scale.
@@ -35,7 +35,7 @@ class Similarity(NamedTuple):
 
 
 def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
-    """Fit the similarity with the least sum of squared distances between ``s R x + t`` and y.
+    """Fit the similarity that minimises the sum of squared distances of ``s R x + t`` from y.
 
     kornia 0.9.0 has no counterpart.
 
@@ -43,9 +43,9 @@ def fit_similarity(x: Tensor, y: Tensor) -> Similarity:
         x, y: (*B, N, 3) corresponding points.
 
     Raises:
-        InputError: the shapes or types do not fit, or values are not finite.
-        DegenerateGeometryError: fewer than three pairs, or all points of `x` or of `y` on a line:
-            the rotation about it is not determined.
+        InputError: The shapes or types do not fit, or values are not finite.
+        DegenerateGeometryError: There are fewer than three pairs, or all points of `x` or of `y`
+            lie on a line, so that the rotation about it is not determined.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point
     patterns", PAMI 1991, equations 40 to 42.

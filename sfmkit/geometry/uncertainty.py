@@ -1,6 +1,6 @@
 """Uncertainty of a pose and its points.
 
-Covariances follow from the Jacobians at the minimum, the noise from the residuals.
+Covariances are computed from the Jacobians at the minimum, the noise level from the residuals.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ class Uncertainty:
     """Covariances to first order in the noise.
 
     Attributes:
-        pose: ``(*B, 5, 5)`` of ``(omega, b)``: rotation vector, radians, in the axes of camera 2
-            (truth = ``exp(omega) R``), and translation direction, radians, along the two columns of
-            ``tangent_basis(t)``. Free focal lengths are marginalised.
-        points: ``(*B, N, 3, 3)`` of the points in camera 1, squared baselines, including the
-            uncertainty of the pose; infinite for points at infinity.
-        sigma_px: ``(*B,)`` standard deviation of one pixel coordinate of unit weight, estimated.
+        pose: ``(*B, 5, 5)`` covariance of ``(omega, b)``: the rotation vector in radians, in the
+            axes of camera 2 (truth = ``exp(omega) R``), and the direction of the translation in
+            radians, along the two columns of ``tangent_basis(t)``. Free focal lengths are
+            marginalised.
+        points: ``(*B, N, 3, 3)`` covariances of the points in the frame of camera 1, in squared
+            baselines, including the uncertainty of the pose; infinite for points at infinity.
+        sigma_px: ``(*B,)`` estimated standard deviation of a pixel coordinate of unit weight.
         degrees_of_freedom: ``(*B,)`` number of matches minus the number of camera unknowns, from
             which `sigma_px` is estimated.
     """
@@ -38,7 +39,7 @@ class Uncertainty:
 
     @property
     def sigma_deg(self) -> Tensor:
-        """Return ``(*B, 2)`` degrees, see :func:`sigma_degrees`."""
+        """Return the standard deviations ``(*B, 2)`` in degrees; see :func:`sigma_degrees`."""
         return sigma_degrees(self.pose)
 
 
@@ -46,19 +47,19 @@ def covariance(bundle: TwoViewBundle) -> Uncertainty:
     """Return the covariance of the pose and of every point of a two-view bundle adjustment.
 
     A match has four coordinates and its point three unknowns, so each match leaves one residual,
-    and N matches leave ``N - 5`` degrees of freedom (fewer with free focal lengths) from which the
-    noise is estimated. Calibrated for Gaussian noise of one variance (divided by the weights) that
-    is small enough for a first-order approximation: an ellipsoid does not describe the error of a
-    point whose relative depth error exceeds a fifth. If matches were removed because of their
-    residuals, the noise is underestimated. With a robust loss the noise estimate uses Huber's
-    correction for M-estimators.
+    and N matches leave ``N - 5`` degrees of freedom (fewer with free focal lengths), from which the
+    noise is estimated. The covariance is correct for Gaussian noise with one variance (divided by
+    the weights) that is small enough for a first-order approximation: an ellipsoid does not
+    describe the error of a point whose relative depth error exceeds a fifth. If matches were
+    removed because of their residuals, the noise is underestimated. For a robust loss, the noise
+    estimate includes Huber's correction for M-estimators.
 
-    Differentiable with respect to the data of the bundle adjustment.
+    The result is differentiable with respect to the data of the bundle adjustment.
 
     Raises:
-        DegenerateGeometryError: there are no more matches than unknowns, or they do not determine
-            the pose. Inside torch.func transforms and torch.compile, where values cannot be read,
-            the covariance is NaN where the pose is not determined.
+        DegenerateGeometryError: There are no more matches than unknowns, or they do not determine
+            the pose. Inside torch.func transforms and torch.compile, values cannot be read; the
+            covariance of an undetermined pose is then NaN.
 
     Source: Hartley and Zisserman, 2nd ed., section 5.2 and appendix A6.3; Huber, Robust statistics,
     1981, section 7.6.
@@ -97,17 +98,17 @@ _UNDETERMINED = 1e-13  # share of the information: 450 times the rounding of flo
 def sigma_degrees(pose_covariance: Tensor) -> Tensor:
     """Return the root-mean-square angular errors of rotation and direction of translation.
 
-    The square root of the trace of each block, comparable with :func:`rotation_error` and
-    :func:`translation_error`.
+    Each is the square root of the trace of its block of the covariance, which is comparable with
+    :func:`rotation_error` and :func:`translation_error`.
 
     Args:
-        pose_covariance: ``(*B, 5, 5)``.
+        pose_covariance: ``(*B, 5, 5)`` covariance of a pose.
 
     Returns:
         ``(*B, 2)`` degrees.
 
     Raises:
-        InputError: wrong shape or type, NaN or infinite values.
+        InputError: The shape or type is wrong, or a value is not finite.
     """
     check_matrices(shape=(5, 5), pose_covariance=pose_covariance)
     variances = pose_covariance.diagonal(dim1=-2, dim2=-1)
@@ -117,7 +118,7 @@ def sigma_degrees(pose_covariance: Tensor) -> Tensor:
 
 
 def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the variance of a coordinate of unit weight, and its degrees of freedom."""
+    """Return the variance of a coordinate of unit weight and its degrees of freedom."""
     r1, r2 = residuals(state, problem)
     s = r1[0] ** 2 + r1[1] ** 2 + r2[0] ** 2 + r2[1] ** 2
     matches = used.sum(-1)
