@@ -43,7 +43,7 @@ class DegenerateGeometryError(SfmError):
     """The correspondences do not determine the model asked for.
 
     Attributes:
-        counts: what was there and what would have been needed, e.g.
+        counts: What was there and what would have been needed, e.g.
             ``{"matches": 4, "needed": 5}``.
     """
 

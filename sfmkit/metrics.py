@@ -130,7 +130,7 @@ def repeatability(
     looked at.
 
     Returns:
-        pairs over the smaller number of keypoints in the common part, and the number of pairs.
+        Pairs over the smaller number of keypoints in the common part, and the number of pairs.
 
     Source: Mikolajczyk et al., IJCV 2005, section 5, with points in place of ellipses.
     """

@@ -91,7 +91,7 @@ class Registry(Generic[T]):
         """The name under which results of the plug-in are stored.
 
         Raises:
-            InputError: there is no such plug-in.
+            InputError: There is no such plug-in.
         """
         self[name]
         return name
@@ -121,7 +121,7 @@ class Registry(Generic[T]):
         """A name under which another process finds the same plug-in.
 
         Raises:
-            InputError: the plug-in lives in ``__main__``, a notebook or a closure.
+            InputError: The plug-in lives in ``__main__``, a notebook or a closure.
         """
         plugin = self[name]
         if name not in self._registered or self.is_built_in(name):

@@ -30,7 +30,7 @@ class Tethered:
     """A child process that ends with this process.
 
     Attributes:
-        process: the guard; its exit status is the child's.
+        process: The guard; its exit status is the child's.
     """
 
     def __init__(self, process: subprocess.Popen, pipe: int | None) -> None:
@@ -65,9 +65,9 @@ def start(
     """Start a command that ends with this process.
 
     Args:
-        session: run it in a session of its own: the children of the child are ended with it, and
+        session: Run it in a session of its own: the children of the child are ended with it, and
             Ctrl-C does not reach them. Otherwise the child shares the terminal.
-        env: environment; None for this process's own.
+        env: Environment; None for this process's own.
         streams: ``stdin``, ``stdout``, ``stderr`` as for :class:`subprocess.Popen`.
     """
     if os.name != "posix":

@@ -26,7 +26,7 @@ def atomic_write(path: str | os.PathLike) -> Iterator[Path]:
         The temporary path to write to; an empty file.
 
     Raises:
-        OutputError: the folder does not exist or cannot be written, `path` is a folder, or the disk
+        OutputError: The folder does not exist or cannot be written, `path` is a folder, or the disk
             is full.
     """
     path = Path(path)
@@ -55,7 +55,7 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
     `path` before as it was. Missing parents are made, and removed again on failure.
 
     Args:
-        overwrite: replace the folder at `path`; without it an existing folder is refused before
+        overwrite: Replace the folder at `path`; without it an existing folder is refused before
             anything is written.
 
     Yields:
@@ -123,7 +123,7 @@ def check_file(path: str | os.PathLike) -> None:
     """Check before the work that :func:`atomic_write` can write a file.
 
     Raises:
-        OutputError: its folder does not exist or cannot be written, `path` is a folder, its name is
+        OutputError: Its folder does not exist or cannot be written, `path` is a folder, its name is
             too long, or the disk is full.
     """
     path = Path(os.path.abspath(path))

@@ -47,7 +47,7 @@ def tilted(image: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndar
     """The view at tilt `t` in the direction `phi`.
 
     Returns:
-        image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0
+        Image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0
         outside `image`.
     """
     h, w = image.shape[:2]
@@ -78,7 +78,7 @@ class AffineOperator:
     """Any operator on an image and on simulated oblique views of it.
 
     Attributes:
-        base: the operator, see :class:`sfmkit.features.plugins.Operator`.
+        base: The operator, see :class:`sfmkit.features.plugins.Operator`.
     """
 
     base: Callable[..., Features]
@@ -101,17 +101,17 @@ class AffineOperator:
 
         Args:
             image: (H, W, 3) or (H, W) uint8.
-            tilts: steps of sqrt(2) in tilt; 2 (up to 2, a view 60 degrees off the normal) take 10
+            tilts: Steps of sqrt(2) in tilt; 2 (up to 2, a view 60 degrees off the normal) take 10
                 views, 3 take 18.
-            preset, device: for base operators that take them.
-            options: of the base operator.
+            preset, device: For base operators that take them.
+            options: Of the base operator.
 
         Returns:
             The features of all views. Scales are those in the image (root of the area), angles are
             0: they have no meaning after a tilt.
 
         Raises:
-            InputError: tilts out of range, and what the base operator raises.
+            InputError: Tilts out of range, and what the base operator raises.
         """
         low, high = TILTS
         whole = isinstance(tilts, (int, np.integer)) and not isinstance(tilts, bool)

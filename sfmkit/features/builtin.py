@@ -61,8 +61,8 @@ class BuiltInOperator:
         """The selected features of an (H, W, 3) or (H, W) uint8 image.
 
         Raises:
-            OperatorError: the operator is not available here, or fails on this image.
-            InputError: an option is unknown or out of range.
+            OperatorError: The operator is not available here, or fails on this image.
+            InputError: An option is unknown or out of range.
         """
         usable, reason = available(self.spec)
         if not usable:

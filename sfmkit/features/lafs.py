@@ -41,7 +41,7 @@ def keypoints_from_lafs(lafs: Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarra
         lafs: (1, N, 2, 3).
 
     Raises:
-        InputError: another shape, or NaN.
+        InputError: Another shape, or NaN.
     """
     if lafs.ndim != 4 or lafs.shape[0] != 1 or tuple(lafs.shape[2:]) != (2, 3):
         raise InputError(f"lafs must have shape (1, N, 2, 3), not {tuple(lafs.shape)}")

@@ -117,11 +117,11 @@ def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
 
     Args:
         grey: (H, W) uint8.
-        name: the detector.
-        options: its options, under OpenCV's names.
+        name: The detector.
+        options: Its options, under OpenCV's names.
 
     Raises:
-        InputError: options that OpenCV does not accept.
+        InputError: OpenCV does not accept the options.
         OperatorError: OpenCV fails on this image.
     """
     if min(grey.shape) < DETECTORS[name].min_side:
@@ -164,11 +164,11 @@ def describe(
 
     Args:
         grey: (H, W) uint8.
-        kp: the keypoints.
-        detector: where they come from; its sizes are turned into FAST's (see
+        kp: The keypoints.
+        detector: Where they come from; its sizes are turned into FAST's (see
             ``DetectorSpec.fast_size``).
-        name: one of :data:`~sfmkit.features.tables.DESCRIPTORS`.
-        options: its options, under OpenCV's names.
+        name: One of :data:`~sfmkit.features.tables.DESCRIPTORS`.
+        options: Its options, under OpenCV's names.
 
     Returns:
         The keypoints that have a descriptor (OpenCV drops those whose patch leaves the image), in
@@ -218,7 +218,7 @@ def centroid_angles(grey: np.ndarray, xy: np.ndarray, radius: int = 15) -> np.nd
     Args:
         grey: (H, W) uint8.
         xy: (N, 2) pixels inside the image.
-        radius: of the disc, pixels.
+        radius: Of the disc, pixels.
 
     Returns:
         (N,) float32 degrees in [0, 360), clockwise on screen.

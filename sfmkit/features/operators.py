@@ -177,7 +177,7 @@ def available(name: str) -> tuple[bool, str]:
     """Whether an operator can run here, and if not, what to install.
 
     Raises:
-        OperatorError: no such operator.
+        OperatorError: There is no such operator.
     """
     check = getattr(OPERATOR_PLUGINS[name], "available", None)
     return (True, "") if check is None else check()

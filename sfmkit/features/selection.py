@@ -22,7 +22,7 @@ def suppression_radii(
     Args:
         keypoints: (N, 2) pixels.
         scores: (N,) strengths, not negative.
-        robustness: at most 1. A smaller value reduces the influence of noise in the scores.
+        robustness: At most 1. A smaller value reduces the influence of noise in the scores.
 
     Returns:
         (N,) float64 pixels; infinite without a clearly stronger one.
@@ -79,14 +79,14 @@ def select_evenly(
     Args:
         keypoints: (N, 2) pixels.
         scores: (N,) larger is stronger.
-        budget: how many to keep, at least 1.
-        size_wh: the image's width and height; keypoints must lie in it.
+        budget: How many to keep, at least 1.
+        size_wh: The image's width and height; keypoints must lie in it.
 
     Returns:
         Rows of the chosen keypoints, ascending. The same input gives the same rows.
 
     Raises:
-        InputError: a budget below 1, inconsistent shapes, or keypoints outside the image.
+        InputError: A budget below 1, inconsistent shapes, or keypoints outside the image.
     """
     if isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1:
         raise InputError(

@@ -31,7 +31,7 @@ def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
     Args:
         grey: (H, W) uint8.
-        x, y: integer arrays of one shape.
+        x, y: Integer arrays of one shape.
 
     Returns:
         int16 array of that shape; not positive where the pixel is not a corner at any threshold.
@@ -84,13 +84,13 @@ def refine(
         grey: (H, W) uint8, their image.
         xy: (N, 2) positions from OpenCV.
         detector: ``fast``, ``agast``, ``orb``, ``gftt`` or ``harris``.
-        options: the detector's.
+        options: The detector's.
         octave: (N,) pyramid level of each (ORB; elsewhere unused).
 
     Returns:
-        (N, 2) float64. Positions of ORB are also corrected for the true sizes of the pyramid's
-        levels: OpenCV multiplies level coordinates by the nominal scale, which is wrong by up to 2
-        pixels.
+        (N, 2) float64. Positions of ORB are also corrected for the true sizes of the pyramid's.
+        levels: OpenCV multiplies level coordinates by the nominal scale, which is wrong by up to 2.
+        Pixels.
     """
     if detector == "orb":
         return _refine_pyramid(grey, xy, octave, options)

@@ -38,20 +38,20 @@ def surf(
 
     Args:
         image: (H, W) grey levels 0 to 255, uint8 or another real type, which is rounded.
-        hessian_threshold: minimum determinant of the Hessian, as in OpenCV (whose default is 100;
+        hessian_threshold: Minimum determinant of the Hessian, as in OpenCV (whose default is 100;
             the paper on fusion that sfmkit follows uses 30).
-        octaves: doublings of the filters' size.
-        layers: scales in an octave at which blobs are found.
+        octaves: Doublings of the filters' size.
+        layers: Scales in an octave at which blobs are found.
         extended: 128 numbers per descriptor instead of 64.
-        upright: leave the orientation at 0 (U-SURF): faster, for cameras that do not roll.
-        device: torch device; the CPU by default.
+        upright: Leave the orientation at 0 (U-SURF): faster, for cameras that do not roll.
+        device: Torch device; the CPU by default.
 
     Returns:
         The features, strongest first: `scales` are diameters in pixels, `scores` determinants of
         the Hessian, `angles` radians, `laplacian` the sign of the Laplacian.
 
     Raises:
-        InputError: the image or an option is invalid.
+        InputError: The image or an option is invalid.
     """
     if not (np.isfinite(hessian_threshold) and hessian_threshold >= 0):
         raise InputError(
@@ -97,14 +97,14 @@ def describe(
         keypoints: (N, 2) pixels.
         scales: (N,) diameters in pixels, positive.
         angles: (N,) radians from x towards y; None to compute SURF's own orientation.
-        extended, device: as for :func:`surf`.
-        upright: use the angle 0 for all keypoints and ignore `angles`.
+        extended, device: As for :func:`surf`.
+        upright: Use the angle 0 for all keypoints and ignore `angles`.
 
     Returns:
         (N, 64 or 128) float32 descriptors of unit length, in the order of the keypoints.
 
     Raises:
-        InputError: the arrays are invalid.
+        InputError: The arrays are invalid.
     """
     xy, size = np.asarray(keypoints, dtype=np.float32), np.asarray(scales, dtype=np.float32)
     angle = None if angles is None else np.asarray(angles, dtype=np.float32)

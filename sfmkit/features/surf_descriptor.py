@@ -137,11 +137,11 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
     """Sum gradients over 4 x 4 cells of the rotated window of each keypoint (section 4.2).
 
     Args:
-        level: a box mean of the image, from :func:`smoothed_levels`.
+        level: A box mean of the image, from :func:`smoothed_levels`.
         xy: (N, 2) pixels.
         size: (N,) diameters.
         angle: (N,) radians.
-        extended: split the sums of dx by the sign of dy and the other way round.
+        extended: Split the sums of dx by the sign of dy and the other way round.
 
     Returns:
         (N, 64), or (N, 128) when extended, float32 of unit length; zero where the window has no

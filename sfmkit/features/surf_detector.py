@@ -60,11 +60,11 @@ def fast_hessian(
 
     Args:
         integral: (H + 1, W + 1) int32 integral image, modulo 2^32.
-        threshold: maxima are above it.
-        octaves: doublings of the sampling step; those whose filters do not fit the image are left
+        threshold: Maxima are above it.
+        octaves: Doublings of the sampling step; those whose filters do not fit the image are left
             out.
-        layers: layers per octave that are searched for maxima; two more surround them.
-        strip: samples of one layer in a strip; affects the speed, not the result. The default
+        layers: Layers per octave that are searched for maxima; two more surround them.
+        strip: Samples of one layer in a strip; affects the speed, not the result. The default
             depends on the device.
     """
     strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)

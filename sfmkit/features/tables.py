@@ -29,20 +29,20 @@ class DetectorSpec:
     """A keypoint detector.
 
     Attributes:
-        create: name of its factory in ``cv2``; None for an sfmkit implementation.
-        options: its options with our defaults.
-        function: of an sfmkit implementation, ``module:name`` in this package:
+        create: Name of its factory in ``cv2``; None for an sfmkit implementation.
+        options: Its options with our defaults.
+        function: Of an sfmkit implementation, ``module:name`` in this package:
             ``(grey, *, device, **options) -> Features``.
-        fixed: options of the factory with a fixed value.
-        fast_size: a keypoint's size times this is the diameter of FAST (7 pixels for a corner at
+        fixed: Options of the factory with a fixed value.
+        fast_size: A keypoint's size times this is the diameter of FAST (7 pixels for a corner at
             full resolution). `size` differs between OpenCV's detectors; its descriptors assume
             that of FAST.
-        integer: positions are whole pixels, refined when `subpixel` is on.
-        oriented: whether keypoints have an orientation.
-        only_with: the only descriptor that can describe its keypoints; None for any.
-        why: the reason for `only_with`.
-        min_side: images with a shorter side have no keypoints (OpenCV fails or crashes on them).
-        licence: of the implementation, and patents.
+        integer: Positions are whole pixels, refined when `subpixel` is on.
+        oriented: Whether keypoints have an orientation.
+        only_with: The only descriptor that can describe its keypoints; None for any.
+        why: The reason for `only_with`.
+        min_side: Images with a shorter side have no keypoints (OpenCV fails or crashes on them).
+        licence: Of the implementation, and patents.
     """
 
     create: str | None
@@ -63,26 +63,26 @@ class DescriptorSpec:
     """A keypoint descriptor.
 
     Attributes:
-        create: name of its factory in ``cv2``; None for an sfmkit implementation.
-        norm: of the distance between two descriptors.
-        width: length in floats (norm l2) or bits (norm hamming), at default options.
-        options: its options with our defaults.
-        function: of an sfmkit implementation, ``module:name`` in this package:
+        create: Name of its factory in ``cv2``; None for an sfmkit implementation.
+        norm: Of the distance between two descriptors.
+        width: Length in floats (norm l2) or bits (norm hamming), at default options.
+        options: Its options with our defaults.
+        function: Of an sfmkit implementation, ``module:name`` in this package:
             ``(grey, xy, sizes, angles, *, device, **options) -> descriptors``.
-        fixed: options of the factory with a fixed value.
-        native: the detector with which it is one operator; by default that of the same name.
-        size: the neighbourhood of an sfmkit descriptor, as a multiple of FAST's size.
-        hellinger: compare by the Hellinger kernel instead of L2.
-        reads_octave: takes the scale from the keypoint's octave, not from its size.
-        reads_missing_angle: computes an orientation only if the keypoint has none (-1).
-        margin: keypoints closer than this to the border, in pixels, are dropped; 0 if the margin
+        fixed: Options of the factory with a fixed value.
+        native: The detector with which it is one operator; by default that of the same name.
+        size: The neighbourhood of an sfmkit descriptor, as a multiple of FAST's size.
+        hellinger: Compare by the Hellinger kernel instead of L2.
+        reads_octave: Takes the scale from the keypoint's octave, not from its size.
+        reads_missing_angle: Computes an orientation only if the keypoint has none (-1).
+        margin: Keypoints closer than this to the border, in pixels, are dropped; 0 if the margin
             depends on their size.
-        orients: computes the orientation itself and ignores that of the detector.
-        rotates_by: the option that makes it follow the keypoint's orientation; None if it always
+        orients: Computes the orientation itself and ignores that of the detector.
+        rotates_by: The option that makes it follow the keypoint's orientation; None if it always
             does.
-        only_with: the only detector whose keypoints it can describe; None for any.
-        why: the reason for `only_with`.
-        licence: of the implementation, and patents.
+        only_with: The only detector whose keypoints it can describe; None for any.
+        why: The reason for `only_with`.
+        licence: Of the implementation, and patents.
     """
 
     create: str | None
@@ -109,14 +109,14 @@ class OperatorSpec:
     """A detector with a descriptor.
 
     Attributes:
-        name: as in ``detect(image, name)``.
-        detector, descriptor: rows of :data:`DETECTORS` and :data:`DESCRIPTORS`.
+        name: As in ``detect(image, name)``.
+        detector, descriptor: Rows of :data:`DETECTORS` and :data:`DESCRIPTORS`.
         norm: ``l2`` or ``hamming``.
-        width: descriptor length in floats or bits, at default options.
-        options: every option with our default.
-        paper, dense: options that replace the defaults in these presets.
-        licence: of the implementation, and patents (facts only).
-        summary: one line.
+        width: Descriptor length in floats or bits, at default options.
+        options: Every option with our default.
+        paper, dense: Options that replace the defaults in these presets.
+        licence: Of the implementation, and patents (facts only).
+        summary: One line.
     """
 
     name: str
@@ -425,7 +425,7 @@ def find_spec(name: str) -> OperatorSpec:
     """Find the named operator, or build the pair ``detector+descriptor``.
 
     Raises:
-        OperatorError: unknown name (the message suggests the nearest known one), or an incompatible
+        OperatorError: Unknown name (the message suggests the nearest known one), or an incompatible
             pair.
     """
     name = str(name).strip().lower()

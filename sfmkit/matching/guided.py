@@ -32,11 +32,11 @@ def match_guided(
     The pairs agree in position and size.
 
     Args:
-        features1, features2: of one operator.
+        features1, features2: Of one operator.
         H: (3, 3) ``x2 = H x1`` in pixels.
-        radius_px: largest distance from the predicted position, in image 2.
-        max_distance: largest descriptor distance.
-        max_octaves: largest difference between a feature's size in image 2 and the one that H
+        radius_px: Largest distance from the predicted position, in image 2.
+        max_distance: Largest descriptor distance.
+        max_octaves: Largest difference between a feature's size in image 2 and the one that H
             predicts, in octaves; ignored where the operator gives all features the same size.
 
     Returns:
@@ -44,7 +44,7 @@ def match_guided(
         candidate.
 
     Raises:
-        InputError: features that cannot be compared, a singular H, a radius that is not positive.
+        InputError: Features that cannot be compared, a singular H, a radius that is not positive.
     """
     _check_comparable(features1, features2)
     H = np.asarray(H, dtype=np.float64)

@@ -54,21 +54,21 @@ def match(
 
     Args:
         features1, features2: N1 and N2 features of one operator in image 1 and image 2.
-        mutual: keep a match only if feature 1 is the nearest neighbour of feature 2 as well
+        mutual: Keep a match only if feature 1 is the nearest neighbour of feature 2 as well
             (cross-check).
-        max_ratio: keep a match only if its distance is below this multiple of the distance to the
+        max_ratio: Keep a match only if its distance is below this multiple of the distance to the
             second-nearest neighbour (Lowe 2004, section 7.1, proposes 0.8). A single candidate has
             no ratio and is dropped.
-        max_distance: keep a match only if its distance is at most this (L2, or number of differing
+        max_distance: Keep a match only if its distance is at most this (L2, or number of differing
             bits).
-        device: torch device, e.g. ``"cuda"``; the CPU by default.
+        device: Torch device, e.g. ``"cuda"``; the CPU by default.
 
     Returns:
         M matches in the order of ``index1``; ``ratio`` is NaN if image 2 has a single candidate.
         Memory beyond the features grows with N1 + N2, not with their product.
 
     Raises:
-        InputError: the features are not comparable, or a limit is invalid.
+        InputError: The features are not comparable, or a limit is invalid.
     """
     _check_comparable(features1, features2)
     if max_ratio is not None and not 0 < max_ratio <= 1:

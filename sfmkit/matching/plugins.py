@@ -127,7 +127,7 @@ def run_matcher(
         device: Passed to matchers that take it.
 
     Raises:
-        InputError: there is no such matcher, it failed, or its result is wrong.
+        InputError: There is no such matcher, it failed, or its result is wrong.
     """
     options = options or MatchOptions()
     operator = features1.operator if operator is None else operator

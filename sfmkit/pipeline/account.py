@@ -21,15 +21,15 @@ class OperatorAccount:
     of the operators add up to the total only if nothing was merged.
 
     Attributes:
-        keypoints: found in image 1 and image 2.
-        matches: after the operator's own matching.
-        initial: fused correspondences that the operator found; without merging equal to `matches`.
-        inliers: of those, in agreement with the epipolar geometry.
-        points: of those, in the cloud.
-        points_alone: points that no other operator found.
+        keypoints: Found in image 1 and image 2.
+        matches: After the operator's own matching.
+        initial: Fused correspondences that the operator found; without merging equal to `matches`.
+        inliers: Of those, in agreement with the epipolar geometry.
+        points: Of those, in the cloud.
+        points_alone: Points that no other operator found.
         share_initial: `initial` over the number of all correspondences.
         share_points: `points` over the number of points of the cloud.
-        loss: share of `initial` that did not become a point.
+        loss: Share of `initial` that did not become a point.
         log10_chance: log10 of the probability that so many of its matches agree by chance with the
             pose that the other operators determine; None where not computed.
     """
@@ -92,8 +92,8 @@ def make_account(
     Args:
         corr: N fused correspondences with their counts.
         inliers: (N,) bool.
-        cloud: the points, None without a cloud.
-        witnesses: operator -> `log10_chance`.
+        cloud: The points, None without a cloud.
+        witnesses: Operator -> `log10_chance`.
     """
     n, m = len(corr), 0 if cloud is None else len(cloud)
 

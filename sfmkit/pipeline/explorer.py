@@ -38,14 +38,14 @@ class EpipolarView:
     """What corresponds to a pixel of image 1.
 
     Attributes:
-        x1: the pixel.
+        x1: The pixel.
         line: (3,) its epipolar line in the undistorted image 2, ``a² + b² = 1``.
         curve: (N, 2) the part of it inside image 2, pixels of the photograph: two ends without
             lens distortion, more with it, none if the line does not cross the image.
-        candidates: keypoints of image 2 near the line, nearest first.
-        match: row of the inlier correspondence nearest to the pixel, None if none is near.
+        candidates: Keypoints of image 2 near the line, nearest first.
+        match: Row of the inlier correspondence nearest to the pixel, None if none is near.
         x1_match, x2_match: (2,) its pixels.
-        residual_px: its distance from its own epipolar line in image 2, pixels.
+        residual_px: Its distance from its own epipolar line in image 2, pixels.
         ray: (3,) unit direction in camera 1 of the pixel.
         X: (3,) the match's point in camera 1, baselines, None for none.
     """
@@ -85,12 +85,12 @@ class EpipolarExplorer:
     """Find epipolar lines, candidates, matches and rays of pixels of image 1.
 
     Args:
-        result: a reconstruction with a fundamental matrix (general or planar).
-        reach_px: largest distance of a match from the pixel.
-        band_px: largest distance of a candidate keypoint from the line.
+        result: A reconstruction with a fundamental matrix (general or planar).
+        reach_px: Largest distance of a match from the pixel.
+        band_px: Largest distance of a candidate keypoint from the line.
 
     Raises:
-        InputError: the reconstruction has no epipolar geometry.
+        InputError: The reconstruction has no epipolar geometry.
     """
 
     def __init__(self, result: Reconstruction, *, reach_px: float = 12.0, band_px: float = 1.5):
@@ -126,7 +126,7 @@ class EpipolarExplorer:
         """Find what corresponds to the pixel x1 = (x, y) of image 1.
 
         Raises:
-            InputError: not two finite numbers, or a pixel outside image 1.
+            InputError: Not two finite numbers, or a pixel outside image 1.
         """
         pixel = np.asarray(x1, dtype=np.float64)
         w, h = self.result.images[0].size_wh
@@ -172,7 +172,7 @@ class EpipolarExplorer:
         """Return the pixel (2,) of an operator's keypoint in image 1.
 
         Raises:
-            InputError: the operator or the row does not exist.
+            InputError: The operator or the row does not exist.
         """
         if operator not in self.result.features:
             raise InputError(

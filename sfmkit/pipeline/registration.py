@@ -61,14 +61,14 @@ class Registration:
     Attributes:
         H: (3, 3) float64, ``x2 = H x1`` in pixels, ``H[2, 2] = 1``; None for too little evidence.
         inliers: (N,) bool over `correspondences`.
-        verdict: planar, or too little evidence.
-        reason: the verdict in words.
-        evidence: the numbers behind it (:class:`~sfmkit.estimation.planar.PlanarFit`).
-        correspondences: fused, of the whole images.
-        guided: result of guided matching, to which the final H is fitted; None without it.
-        account: statistics per operator and for all operators.
-        timings_s: seconds per stage.
-        warnings: messages about possible problems of the input or the result.
+        verdict: Planar, or too little evidence.
+        reason: The verdict in words.
+        evidence: The numbers behind it (:class:`~sfmkit.estimation.planar.PlanarFit`).
+        correspondences: Fused, of the whole images.
+        guided: Result of guided matching, to which the final H is fitted; None without it.
+        account: Statistics per operator and for all operators.
+        timings_s: Seconds per stage.
+        warnings: Messages about possible problems of the input or the result.
     """
 
     H: Tensor | None
@@ -97,17 +97,17 @@ def register(
     """Estimate the homography between two images.
 
     Args:
-        image1, image2: paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
-        operators: names of operators, ``detector+descriptor``, or import paths of plug-ins.
-        matchers: name or import path of the matcher of all operators, or operator -> matcher for
+        image1, image2: Paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
+        operators: Names of operators, ``detector+descriptor``, or import paths of plug-ins.
+        matchers: Name or import path of the matcher of all operators, or operator -> matcher for
             some; None for those of `options`.
-        options: of detection, matching, fusion and the homography (``planar``).
-        device: torch device of detection and matching; None for that of `options`.
-        seed: the same seed gives the same result on the same machine.
-        progress: called with (stage, detail).
+        options: Of detection, matching, fusion and the homography (``planar``).
+        device: Torch device of detection and matching; None for that of `options`.
+        seed: The same seed gives the same result on the same machine.
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: invalid images or operators. Images that do not show one plane are not an error
+        InputError: Invalid images or operators. Images that do not show one plane are not an error
             but a verdict.
     """
     watch = Stopwatch(progress)

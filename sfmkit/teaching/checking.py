@@ -40,14 +40,14 @@ def check(exercise: str, answer: Any = ..., hint: int = 0) -> None:
     In a class (`sfmkit lab --class`), the check is also written to the marks file.
 
     Args:
-        exercise: the number of the exercise, for example ``"04.1"``.
-        answer: a number, array, string or function, depending on the exercise; ``...`` prints
+        exercise: The number of the exercise, for example ``"04.1"``.
+        answer: A number, array, string or function, depending on the exercise; ``...`` prints
             the question.
-        hint: level up to which hints are printed if the answer is not correct: 1 for the idea, 2
+        hint: Level up to which hints are printed if the answer is not correct: 1 for the idea, 2
             for the formula too.
 
     Raises:
-        InputError: there is no such exercise or level.
+        InputError: There is no such exercise or level.
     """
     judgement = judge(exercise, answer)
     if hint not in range(len(HINTS[exercise]) + 1):

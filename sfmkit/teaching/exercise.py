@@ -12,14 +12,14 @@ class Exercise:
     """One exercise.
 
     Attributes:
-        question: one or two sentences; starts with the signature if a function is expected.
-        right: computes the correct answer, from the inputs if a function is expected.
-        wrong: common mistakes with their explanations; same arguments as `right`.
-        inputs: returns the argument tuples on which a function is tested; None for a value.
-        up_to_scale: whether answers that differ by a non-zero factor are equal (homogeneous
+        question: One or two sentences; starts with the signature if a function is expected.
+        right: Computes the correct answer, from the inputs if a function is expected.
+        wrong: Common mistakes with their explanations; same arguments as `right`.
+        inputs: Returns the argument tuples on which a function is tested; None for a value.
+        up_to_scale: Whether answers that differ by a non-zero factor are equal (homogeneous
             quantities).
-        period: answers that differ by a multiple of it are equal (angles), or None.
-        tolerance: relative to the largest entry of the correct answer.
+        period: Answers that differ by a multiple of it are equal (angles), or None.
+        tolerance: Relative to the largest entry of the correct answer.
     """
 
     question: str

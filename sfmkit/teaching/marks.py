@@ -26,12 +26,12 @@ class Mark:
     """One check of an answer.
 
     Attributes:
-        student: name.
-        exercise: number, such as ``04.1``.
-        right: whether the answer was correct.
-        answered: whether there was an answer; a hint can be read without one.
-        hint: level of the hint that was printed, 0 for none.
-        time: of the check, UTC, ISO 8601.
+        student: Name.
+        exercise: Number, such as ``04.1``.
+        right: Whether the answer was correct.
+        answered: Whether there was an answer; a hint can be read without one.
+        hint: Level of the hint that was printed, 0 for none.
+        time: Of the check, UTC, ISO 8601.
     """
 
     student: str
@@ -47,12 +47,12 @@ class Result:
     """What a student reached in an exercise.
 
     Attributes:
-        student, exercise: as in :class:`Mark`.
-        solved: whether an answer was correct.
-        tries: answers up to the first correct one.
-        hint: highest level that was read before the first correct answer.
-        minutes: from the first check to the first correct answer, or to the last check.
-        first: time of the first check.
+        student, exercise: As in :class:`Mark`.
+        solved: Whether an answer was correct.
+        tries: Answers up to the first correct one.
+        hint: Highest level that was read before the first correct answer.
+        minutes: From the first check to the first correct answer, or to the last check.
+        first: Time of the first check.
     """
 
     student: str
@@ -74,7 +74,7 @@ def append_mark(file: Path, student: str, exercise: str, right: bool, answered: 
     """Append one line to a marks file.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: The file cannot be written.
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     line = json.dumps(asdict(Mark(student, exercise, right, answered, hint, now)))
@@ -90,7 +90,7 @@ def read_marks(files: Iterable[Path]) -> list[Mark]:
     """Read marks files; a line that occurs in several of them counts once.
 
     Raises:
-        InputError: a file that cannot be read, or a line that is not a mark.
+        InputError: A file that cannot be read, or a line that is not a mark.
     """
     found: dict[tuple[Mark, int], Mark] = {}
     for file in files:

@@ -22,12 +22,12 @@ class IntrinsicsSigma:
     """Standard deviations of a camera's intrinsics.
 
     Attributes:
-        focal: of the focal length, as a fraction of it.
-        principal_point: of each coordinate of the principal point, pixels.
-        k1: of the first radial distortion coefficient.
+        focal: Of the focal length, as a fraction of it.
+        principal_point: Of each coordinate of the principal point, pixels.
+        k1: Of the first radial distortion coefficient.
 
     Raises:
-        CameraError: a value that is negative or not finite.
+        CameraError: A value is negative or not finite.
     """
 
     focal: float
@@ -78,19 +78,19 @@ class Camera:
     Attributes:
         K: (3, 3) float64 intrinsics in pixels; ``K[2] == (0, 0, 1)``. The centre of the top-left
             pixel is (0, 0).
-        size_wh: width and height in pixels of the image that K belongs to.
+        size_wh: Width and height in pixels of the image that K belongs to.
         distortion: (D,) float64 coefficients in OpenCV's order, zeros for none. For the model
             ``opencv`` up to 5, or 8, 12 or 14 numbers ``k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tx ty``
             (radial and tangential, rational, thin prism, tilt); the first 5, 8, 12 or 14 are
             stored, the fewest that hold all non-zero ones. For ``fisheye`` the four numbers
             ``k1 k2 k3 k4`` of OpenCV's fisheye model (Kannala and Brandt 2006).
-        source: origin of the focal length: ``given``, ``exif: ...`` or ``guessed``.
+        source: Origin of the focal length: ``given``, ``exif: ...`` or ``guessed``.
         model: ``opencv`` or ``fisheye``; see :mod:`sfmkit.geometry.distortion`.
-        sigma: standard deviations of the intrinsics; None for the default of `source`, see
+        sigma: Standard deviations of the intrinsics; None for the default of `source`, see
             :attr:`uncertainty`.
 
     Raises:
-        CameraError: intrinsics or distortion coefficients that no camera has.
+        CameraError: No camera has these intrinsics or distortion coefficients.
     """
 
     K: np.ndarray

@@ -20,9 +20,9 @@ class OperatorCounts:
     """What one operator put into a set of correspondences.
 
     Attributes:
-        keypoints: found in image 1 and image 2.
-        matches: after the operator's own matching.
-        merged: of those, how many were merged into a coincident correspondence of another keypoint
+        keypoints: Found in image 1 and image 2.
+        matches: After the operator's own matching.
+        merged: Of those, how many were merged into a coincident correspondence of another keypoint
             or operator.
     """
 
@@ -43,8 +43,8 @@ class Correspondences:
             position was kept.
         operator_mask: (N,) int64; bit k is set when `operators[k]` found this correspondence.
         index1, index2: (N,) int64 rows of the Features of `operator_id`.
-        operators: names; bit and id k is `operators[k]`.
-        counts: per operator, what it put in and lost so far.
+        operators: Names; bit and id k is `operators[k]`.
+        counts: Per operator, what it put in and lost so far.
     """
 
     x1: Tensor

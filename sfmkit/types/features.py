@@ -26,9 +26,9 @@ class Features:
         scores: (N,) float32 the detector's response; larger is stronger, comparable within one
             operator only.
         descriptors: (N, D) float32, or (N, bytes) uint8 of packed bits.
-        norm: how descriptors are compared: ``l2`` or ``hamming``.
-        operator: the operator's name.
-        size_wh: size of the image in pixels.
+        norm: How descriptors are compared: ``l2`` or ``hamming``.
+        operator: The operator's name.
+        size_wh: Size of the image in pixels.
         laplacian: (N,) int8 sign of the Laplacian (+1 dark blob on light, -1 light on dark) where
             the operator knows it (SURF), else None. Features of different sign cannot match.
     """

@@ -19,7 +19,7 @@ class PointCloud:
         xyz: (M, 3) float64, x right, y down, z forward.
         rgb: (M, 3) uint8, from image 1.
         operator_id, operator_mask: (M,) int64 as in :class:`Correspondences`.
-        operators: names.
+        operators: Names.
         reprojection_error: (M,) float64 root mean square over the two images, pixels.
         parallax: (M,) float64 angle between the two rays, degrees.
         match: (M,) int64 row of the Correspondences that a point came from.

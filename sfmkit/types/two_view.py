@@ -33,10 +33,10 @@ class Improvement:
     """A model that was the best so far.
 
     Attributes:
-        iteration: minimal samples tried by then.
+        iteration: Minimal samples tried by then.
         model: (3, 3).
-        inliers: how many of the matches it was scored on agree with it.
-        score: its mean score per match it was scored on, in [0, 1].
+        inliers: How many of the matches it was scored on agree with it.
+        score: Its mean score per match it was scored on, in [0, 1].
         stage: ``sample``, ``local optimisation`` or ``refinement``.
     """
 
@@ -52,27 +52,27 @@ class TwoView:
     """The geometry of two views: how camera 2 stands to camera 1, ``X2 = R X1 + t``.
 
     Attributes:
-        camera1, camera2: the cameras.
+        camera1, camera2: The cameras.
         inliers: (N,) bool over the correspondences.
-        verdict: general, planar, pure rotation, ambiguous or too little evidence.
-        reason: the verdict in words.
-        evidence: the numbers the verdict rests on.
+        verdict: General, planar, pure rotation, ambiguous or too little evidence.
+        reason: The verdict in words.
+        evidence: The numbers the verdict rests on.
         R: (3, 3) rotation, None without a trustworthy one.
         t: (3,) unit translation, None where unknown (pure rotation) or untrustworthy.
         E, F, H: (3, 3) essential, fundamental (pixels), homography (pixels) where estimated, else
             None.
         pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on
             its tangent plane, radians), None where not computed.
-        sigma_deg: standard deviation of rotation and translation direction, degrees, from
+        sigma_deg: Standard deviation of rotation and translation direction, degrees, from
             `pose_covariance`.
-        sigma_parts_deg: what each part of the uncertainty (``pixel noise``, ``image regions``,
+        sigma_parts_deg: What each part of the uncertainty (``pixel noise``, ``image regions``,
             ``cameras``) alone gives for `sigma_deg`; see
             :mod:`sfmkit.estimation.pose_uncertainty`. Empty where not computed.
-        alternatives: other poses (R, t) that explain the matches as well: a plane seen twice
+        alternatives: Other poses (R, t) that explain the matches as well: a plane seen twice
             usually allows two, and repeated texture allows copies.
-        witnesses: operator -> log10 of the probability that so many of its matches agree by chance
+        witnesses: Operator -> log10 of the probability that so many of its matches agree by chance
             with the pose that the other operators determine; empty where not computed.
-        history: how the robust search improved, oldest first; empty where the back end does not
+        history: How the robust search improved, oldest first; empty where the back end does not
             say. Its models are E, in normalised coordinates, or F, in pixels, whichever was
             estimated.
     """
