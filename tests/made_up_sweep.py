@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmkit.ablation.table import SCHEMA, TABLE, table_of, write_table
+from sfmkit.ablation.table import TABLE, table_of
+from sfmkit.ablation.table_file import SCHEMA, write_table
 
 OPERATORS = ("surf", "orb", "fast-brief", "sift", "akaze")
 

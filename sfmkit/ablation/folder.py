@@ -23,7 +23,8 @@ from .._utils.writing import atomic_write, check_folder
 from ..errors import InputError, OutputError
 from .lock import locked
 from .plan import Plan
-from .table import TABLE, AblationTable, read_shard, table_of, write_table
+from .table import TABLE, AblationTable, table_of
+from .table_file import read_shard, write_table
 from .tasks import EstimateTask
 from .version import digest
 
@@ -83,7 +84,7 @@ class SweepFolder:
         write_table(table_of(rows), self._shard(unit))
 
     def merge(self, plan: Plan) -> AblationTable:
-        """All shards as one table, in the order of the plan."""
+        """Write all shards as one table, in the order of the plan, and return it."""
         data = pa.concat_tables(
             [read_shard(self._shard(unit)) for unit in plan.units]
         ).combine_chunks()

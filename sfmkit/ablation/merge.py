@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-
 from .._utils.writing import check_free, staged_folder
 from ..errors import InputError
 from .folder import read_sweep, write_sweep
-from .table import TABLE, AblationTable, read_table, write_table
+from .table import TABLE, check_table, read_table
+from .table_file import write_tables
 from .version import digest
 
 __all__ = ["merge_shards"]
@@ -25,16 +24,20 @@ def merge_shards(
     out: str | os.PathLike,
     *,
     overwrite: bool = False,
-) -> AblationTable:
+) -> int:
     """Merge the folders of all shards of a sweep into one folder.
 
     The rows are those of the sweep without shards, in its order. The folder can be reported on; it
-    holds no units of work, so a sweep cannot be resumed in it.
+    holds no units of work, so a sweep cannot be resumed in it. The rows of one shard at a time are
+    in memory.
 
     Args:
         shards: The folders of ``sfmkit ablate --shard 1/N`` to ``N/N``, finished, in any order.
         out: The folder to write, whole or not at all.
         overwrite: Replace an existing folder.
+
+    Returns:
+        The number of rows.
 
     Raises:
         InputError: A shard is missing, unfinished, there twice, or of another sweep.
@@ -47,7 +50,8 @@ def merge_shards(
         different = [name for name in _EQUAL if other.get(name) != first.get(name)]
         if different:
             raise InputError(f"{path} and {found[0][0]} have different {', '.join(different)}")
-    tables = [read_table(path).data for path, _ in found]
+    for path, _ in found:
+        check_table(path)  # before the work
     sweep: dict[str, Any] = first | {
         "shard": None,
         "pairs": [pair for _, part in found for pair in part["pairs"]],
@@ -55,9 +59,7 @@ def merge_shards(
     }
     with staged_folder(Path(out), overwrite) as staged:
         write_sweep(staged, sweep)
-        data = pa.concat_tables(tables).combine_chunks()
-        write_table(data, staged / TABLE)
-    return AblationTable(data, Path(out) / TABLE)
+        return write_tables((read_table(path).data for path, _ in found), staged / TABLE)
 
 
 def _in_order(shards: list[tuple[Path, dict[str, Any]]]) -> list[tuple[Path, dict[str, Any]]]:

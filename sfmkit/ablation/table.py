@@ -1,12 +1,11 @@
 """The table that a sweep makes: one row for each pair, combination, preset and seed. Its columns
 are its interface.
 
-``docs/ablation.md`` describes them; :data:`SCHEMA` is what is written.
+``docs/ablation.md`` describes them; :data:`~.table_file.SCHEMA` lists their types.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,65 +16,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import torch
 
-from .._utils.writing import atomic_write
 from ..errors import InputError
 from ..geometry.pose import rotation_error, translation_error
 from ..metrics import check_point_error, corner_error, homography_rmse
 from ..types import Verdict
 from .sources import PlannedPair
+from .table_file import SCHEMA, read_shard
 from .tasks import EstimateTask, Job
 from .variants import JOIN
 
 TABLE = "ablation.parquet"
-_DIGEST = b"sfmkit.sha256"
-
-_text, _count, _number = pa.string(), pa.int64(), pa.float64()
-SCHEMA = pa.schema(
-    [
-        ("dataset", _text),
-        ("sequence", _text),
-        ("pair", _text),
-        ("kind", _text),
-        ("has_truth", pa.bool_()),
-        ("combination", _text),
-        ("operators", pa.list_(_text)),
-        ("n_operators", _count),
-        ("preset", _text),
-        ("vary", _text),
-        ("seed", _count),
-        ("keypoints1", _count),
-        ("keypoints2", _count),
-        ("matches", _count),
-        ("correspondences", _count),
-        ("inliers", _count),
-        ("guided", _count),
-        ("error", _number),
-        ("error_unit", _text),
-        ("corner_error_px", _number),
-        ("check_error_px", _number),
-        ("rmse", _number),
-        ("rotation_deg", _number),
-        ("translation_deg", _number),
-        ("status", _text),
-        ("verdict", _text),
-        ("reason", _text),
-        ("failure", _text),
-        ("H", pa.list_(_number)),
-        ("R", pa.list_(_number)),
-        ("t", pa.list_(_number)),
-        ("seconds_detect", _number),
-        ("seconds_match", _number),
-        ("seconds_fuse", _number),
-        ("seconds_estimate", _number),
-        ("seconds", _number),
-        ("peak_memory_mb", _number),
-        ("versions", _text),
-        ("machine", _text),
-    ]
-)
 
 # Two runs of one sweep differ in these columns only.
 VOLATILE = (
@@ -185,7 +137,7 @@ class AblationTable:
     """The rows of a sweep.
 
     Attributes:
-        data: a pyarrow table with :data:`SCHEMA`.
+        data: a pyarrow table with :data:`~.table_file.SCHEMA`.
         path: the Parquet file, None where it was not written.
     """
 
@@ -221,6 +173,11 @@ class AblationTable:
         words = ", ".join(f"{n:,} {state}" for state, n in states.items() if n)
         return f"AblationTable({len(self):,} rows: {pairs} pairs, {combos} combinations; {words})"
 
+    def rows_of(self, columns: Sequence[str]) -> Iterator[Row]:
+        """Yield the rows with some of the columns only."""
+        for batch in self.data.select(list(columns)).to_batches(max_chunksize=1000):
+            yield from batch.to_pylist()
+
     def results(self) -> pa.Table:
         """Without the columns in which two runs of one sweep differ."""
         return self.data.drop_columns(list(VOLATILE))
@@ -234,22 +191,21 @@ def table_of(rows: Sequence[Row]) -> pa.Table:
     return pa.Table.from_pylist(list(rows), schema=SCHEMA)
 
 
-def write_table(data: pa.Table, path: Path) -> None:
-    """Write a table as Parquet, with a digest of its values and a checksum of every page.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    sealed = data.replace_schema_metadata({_DIGEST: content_digest(data)})
-    with atomic_write(path) as temporary:
-        pq.write_table(sealed, temporary, compression="zstd", write_page_checksum=True)
-
-
 def read_table(path: str | os.PathLike) -> AblationTable:
     """Read the table of a sweep: its Parquet file, or the folder that holds it.
 
     Raises:
         InputError: There is none, or it is damaged; see :func:`read_shard`.
+    """
+    file = check_table(path)
+    return AblationTable(read_shard(file), file)
+
+
+def check_table(path: str | os.PathLike) -> Path:
+    """Return the file that :func:`read_table` reads.
+
+    Raises:
+        InputError: There is none.
     """
     file = Path(path)
     file = file / TABLE if file.is_dir() else file
@@ -258,58 +214,4 @@ def read_table(path: str | os.PathLike) -> AblationTable:
             f"there is no {file}; `sfmkit ablate ... --out {Path(path)}` writes it, and completes "
             "an interrupted sweep"
         )
-    return AblationTable(read_shard(file), file)
-
-
-def read_shard(file: Path) -> pa.Table:
-    """Read a Parquet file that :func:`write_table` wrote.
-
-    Raises:
-        InputError: The file cannot be read, has other columns or types, or its values differ from
-            those that were written.
-    """
-    try:
-        data = pq.read_table(
-            pa.BufferReader(file.read_bytes()), page_checksum_verification=True, use_threads=False
-        )
-        metadata = data.schema.metadata or {}
-        data = data.replace_schema_metadata(None)
-        known = data.schema.equals(SCHEMA)
-        intact = known and metadata.get(_DIGEST, b"").decode() == content_digest(data)
-    except Exception as error:  # damaged bytes: whatever Arrow's readers and decoders raise
-        raise InputError(f"{file} cannot be read as Parquet, or is damaged: {error}") from None
-    if not known:
-        raise InputError(
-            f"{file} has other columns than the table of an ablation; it may be of another version"
-        )
-    if not intact:
-        raise InputError(
-            f"{file} is damaged: its values differ from those that were written. Remove it and run "
-            "the sweep again; what is cached is used again"
-        )
-    return data
-
-
-def content_digest(data: pa.Table) -> str:
-    """Sha256 of the names and values of a table, independent of their layout in memory."""
-    digest = hashlib.sha256()
-    for name, column in zip(data.column_names, data.columns, strict=True):
-        array = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
-        digest.update(f"{name} {len(array)}\n".encode())
-        for values in _flat(array):
-            digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()
-
-
-def _flat(array: pa.Array) -> Iterator[np.ndarray]:
-    """The values of a column as arrays of numbers: validity, lengths, and values without nulls."""
-    yield array.is_valid().to_numpy(zero_copy_only=False)
-    present = array.drop_null()
-    if pa.types.is_list(array.type):
-        yield pc.list_value_length(present).to_numpy(zero_copy_only=False)
-        yield from _flat(present.flatten())
-    elif pa.types.is_string(array.type):
-        yield pc.binary_length(present).to_numpy(zero_copy_only=False)
-        yield np.frombuffer("".join(present.to_pylist()).encode(), np.uint8)
-    else:
-        yield present.to_numpy(zero_copy_only=False)
+    return file

@@ -23,6 +23,7 @@ def merge(shards: tuple[Path, ...], out: Path, overwrite: bool) -> None:
     The rows are those of the sweep without shards, in its order.
     """
     from ..ablation.merge import merge_shards
+    from ..ablation.table import TABLE
 
-    table = merge_shards(shards, out, overwrite=overwrite)
-    click.echo(f"{len(table):,} rows in {table.path}; next: sfmkit ablate report {out}")
+    rows = merge_shards(shards, out, overwrite=overwrite)
+    click.echo(f"{rows:,} rows in {out / TABLE}; next: sfmkit ablate report {out}")

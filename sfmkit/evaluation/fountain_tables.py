@@ -185,9 +185,9 @@ def _truth_table(rows: Sequence[Row]) -> ResultTable:
         Column("right, %", ".2f"),
         Column("right ones kept, %", ".1f"),
         Column("rotation, deg", ".3f"),
-        Column("worst", ".3f"),
+        Column("rotation, worst", ".3f"),
         Column("translation, deg", ".3f"),
-        Column("worst", ".3f"),
+        Column("translation, worst", ".3f"),
         Column("seconds", ".1f"),
     )
     note = (

@@ -141,7 +141,7 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
             Column("ours less paper", "+.2f"),
             Column("paper", ".2f", paper=True),
             Column("its recipe, rerun", ".2f"),
-            Column("solved", ">"),
+            Column("rerun solved", ">"),
             Column("matches", ",.0f"),
             Column("paper: features", ",", paper=True),
         ),

@@ -25,10 +25,11 @@ from .._utils.writing import atomic_write
 from ..errors import InputError
 
 FILE = "result.json"
-VERSION = 1
+VERSION = 2
 MINUS = "−"
 
-Cell = str | int | float | None
+Range = tuple[float, float]
+Cell = str | int | float | Range | None
 
 
 @dataclass(frozen=True)
@@ -40,19 +41,36 @@ class Column:
         spec: Python's format specification of its numbers, e.g. ``,`` or ``.2f``; ``>`` for text
             that is set to the right; empty for text.
         paper: whether it holds the paper's own values.
+        interval: whether its cells are intervals (low, high); a CSV file has two columns of
+            numbers for it.
     """
 
     name: str
     spec: str = ""
     paper: bool = False
+    interval: bool = False
 
     @property
     def right(self) -> bool:
         """Whether its cells are set to the right."""
         return bool(self.spec)
 
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Its heads in a CSV file."""
+        return (f"{self.name}, low", f"{self.name}, high") if self.interval else (self.name,)
+
+    def values(self, cell: Cell) -> tuple[str | int | float | None, ...]:
+        """A cell as the cells of a CSV file."""
+        if isinstance(cell, tuple):
+            return tuple(map(_number, cell))
+        return (None, None) if self.interval else (cell,)
+
     def show(self, cell: Cell) -> str:
         """A cell as it is printed; nothing for None and NaN."""
+        if isinstance(cell, tuple):
+            low, high = map(Column("", self.spec).show, cell)
+            return f"{low} to {high}" if low and high else ""
         if cell is None or (isinstance(cell, float) and math.isnan(cell)):
             return ""
         if isinstance(cell, str):
@@ -87,6 +105,10 @@ class ResultTable:
             )
         if not self.columns:
             raise InputError(f"table {self.name} has no columns")
+        heads = [head for column in self.columns for head in column.heads]
+        if len(set(heads)) < len(heads):
+            twice = next(head for head in heads if heads.count(head) > 1)
+            raise InputError(f"table {self.name} has two columns '{twice}'")
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise InputError(
@@ -94,6 +116,12 @@ class ResultTable:
                     "cells"
                 )
             for column, cell in zip(self.columns, row):
+                if column.interval and cell is not None and not _is_range(cell):
+                    raise InputError(
+                        f"table {self.name}, column {column.name}: {cell!r} is not an interval"
+                    )
+                if column.interval:
+                    continue
                 if isinstance(cell, bool) or not isinstance(cell, (str, int, float, type(None))):
                     raise InputError(
                         f"table {self.name}, column {column.name}: {cell!r} is neither text nor "
@@ -127,11 +155,12 @@ class ResultTable:
         return "\n\n".join([*parts, self.note] if self.note else parts) + "\n"
 
     def csv(self) -> str:
-        """As comma-separated values, numbers in full."""
+        """As comma-separated values: a number or a text per cell, numbers in full."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([column.name for column in self.columns])
-        writer.writerows(self.rows)
+        writer.writerow([head for column in self.columns for head in column.heads])
+        for row in self.rows:
+            writer.writerow([v for c, cell in zip(self.columns, row) for v in c.values(cell)])
         return text.getvalue()
 
 
@@ -250,7 +279,9 @@ def read_result(folder: str | os.PathLike) -> Result:
 
 
 def _plain(result: Result) -> dict[str, Any]:
-    def cell(value: Cell) -> Cell:
+    def cell(value: Cell) -> Any:
+        if isinstance(value, tuple):
+            return None if any(map(math.isnan, value)) else list(value)
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return {
@@ -262,7 +293,15 @@ def _plain(result: Result) -> dict[str, Any]:
             {
                 "name": t.name,
                 "title": t.title,
-                "columns": [{"name": c.name, "spec": c.spec, "paper": c.paper} for c in t.columns],
+                "columns": [
+                    {
+                        "name": c.name,
+                        "spec": c.spec,
+                        "paper": c.paper,
+                        "interval": c.interval,
+                    }
+                    for c in t.columns
+                ],
                 "rows": [[cell(v) for v in row] for row in t.rows],
                 "note": t.note,
             }
@@ -278,13 +317,14 @@ def _plain(result: Result) -> dict[str, Any]:
 
 def _table(entry: dict[str, Any]) -> ResultTable:
     columns = tuple(
-        Column(_text(c["name"]), _text(c["spec"]), bool(c["paper"])) for c in entry["columns"]
+        Column(_text(c["name"]), _text(c["spec"]), bool(c["paper"]), bool(c["interval"]))
+        for c in entry["columns"]
     )
     return ResultTable(
         _text(entry["name"]),
         _text(entry["title"]),
         columns,
-        tuple(tuple(r) for r in entry["rows"]),
+        tuple(tuple(tuple(v) if isinstance(v, list) else v for v in r) for r in entry["rows"]),
         _text(entry["note"]),
     )
 
@@ -293,3 +333,16 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError(f"{value!r} where a text belongs")
     return value
+
+
+def _is_range(cell: Cell) -> bool:
+    return (
+        isinstance(cell, tuple)
+        and len(cell) == 2
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in cell)
+    )
+
+
+def _number(value: float) -> float | None:
+    """The bound of an interval; None for NaN, which is an empty cell."""
+    return None if math.isnan(value) else value

@@ -246,13 +246,13 @@ def test_a_full_disk_ends_the_sweep_with_a_message_and_what_was_done_stays(
 
 
 def test_a_full_disk_under_the_shards(sweep, monkeypatch):
-    from sfmkit.ablation import table
+    from sfmkit.ablation import table_file
 
     def full(*args, **options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(table.pq, "write_table", full)
+        patched.setattr(table_file.pq.ParquetWriter, "write_table", full)
         with pytest.raises(OutputError, match="No space left on device"):
             sweep()
     assert len(sweep()) == ROWS

@@ -15,16 +15,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sfmkit.ablation.sources import PlannedPair
-from sfmkit.ablation.table import (
+from sfmkit.ablation.table import VOLATILE, AblationTable, make_row, read_table, table_of
+from sfmkit.ablation.table_file import (
     SCHEMA,
-    VOLATILE,
-    AblationTable,
     content_digest,
-    make_row,
     read_shard,
-    read_table,
-    table_of,
     write_table,
+    write_tables,
 )
 from sfmkit.ablation.tasks import EstimateTask, ImageRef, Job
 from sfmkit.ablation.variants import Variant
@@ -180,7 +177,7 @@ def test_a_changed_value_does_not_agree_with_the_digest(tmp_path):
     table = made_up_table()
     column = table.column_names.index("error")
     changed = table.set_column(column, SCHEMA.field("error"), pc.add(table["error"], 1e-9))
-    stored = {b"sfmkit.sha256": content_digest(table)}
+    stored = {b"sfmkit.content": content_digest(table)}
     pq.write_table(changed.replace_schema_metadata(stored), tmp_path / "ablation.parquet")
     with pytest.raises(InputError, match="values differ"):
         read_table(tmp_path)
@@ -192,6 +189,14 @@ def test_the_digest_does_not_depend_on_the_layout_in_memory():
     assert parts["H"].num_chunks == 3
     assert content_digest(parts) == content_digest(table)
     assert content_digest(table.slice(1)) != content_digest(table)
+
+
+def test_parts_are_written_one_after_another_as_row_groups(tmp_path):
+    table, file = made_up_table(), tmp_path / "t.parquet"
+    parts = (table.slice(start, 25) for start in (0, 25, 50))
+    assert write_tables(parts, file) == 60
+    assert pq.ParquetFile(file).num_row_groups == 3
+    assert read_shard(file) == table
 
 
 def test_columns_of_other_types_are_refused(tmp_path):

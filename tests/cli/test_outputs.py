@@ -73,7 +73,8 @@ def test_outputs_are_checked_before_the_work(name, tmp_path, monkeypatch):
 def test_the_report_of_a_sweep_and_downloads_check_their_folders(tmp_path, monkeypatch):
     from made_up_sweep import made_up_rows
 
-    from sfmkit.ablation.table import TABLE, table_of, write_table
+    from sfmkit.ablation.table import TABLE, table_of
+    from sfmkit.ablation.table_file import write_table
 
     write_table(table_of(made_up_rows(pairs=3, seeds=1)), tmp_path / TABLE)
     (tmp_path / "report").write_text("precious")

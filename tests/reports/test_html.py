@@ -114,7 +114,7 @@ def test_nothing_to_report(tmp_path):
     with pytest.raises(InputError, match="not a PNG"):
         write_report(tmp_path)
     (tmp_path / "uav" / "result.json").write_text("{}")
-    with pytest.raises(InputError, match="version 1"):
+    with pytest.raises(InputError, match="version 2"):
         write_report(tmp_path)
     assert not (tmp_path / "report.html").exists()
 

@@ -77,8 +77,8 @@ def test_tables_are_csv_and_markdown_too(folder):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.clear(), "not a result of version 1, but None"),
-        (lambda d: d.update(version=2), "version 1, but 2"),
+        (lambda d: d.clear(), "not a result of version 2, but None"),
+        (lambda d: d.update(version=1), "version 2, but 1"),
         (lambda d: d.pop("tables"), "damaged"),
         (lambda d: d["tables"][0]["rows"][0].append("more"), "damaged"),
         (lambda d: d["tables"][0]["columns"][0].pop("spec"), "damaged"),

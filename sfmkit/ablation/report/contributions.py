@@ -93,11 +93,13 @@ def _say_missing(missing: Sequence[tuple[str, ...]], players: Sequence[str]) -> 
 
 
 def contributions(scores: Scores) -> list[Contributions]:
-    """Of every operator, for each preset and choice of changed settings that the sweep has of all
+    """Compute what every operator contributes.
+
+    This is done for each preset and choice of changed settings with which the sweep ran all
     operators together.
 
-    A loss without an operator is paired: computed pair by pair, like the Shapley values, on the
-    same bootstrap samples.
+    A loss without an operator is paired: it is computed pair by pair, like the Shapley values, on
+    the same bootstrap samples of scenes or pairs.
     """
     everything = max(len(s.operators) for s in scores.setups)
     largest = [s for s in scores.setups if len(s.operators) == everything]
@@ -112,16 +114,19 @@ def _contributions(scores: Scores, full: Setup) -> Contributions:
         if setup == full.only(setup.operators):
             game[frozenset(setup.operators)] = scores.quality[:, c]
     players, all_of_them = full.operators, frozenset(full.operators)
+    of_pair = scores.units.of_pair
     singles = [game.get(frozenset({o})) for o in players]
     left_out = [game.get(all_of_them - {o}) for o in players]
     missing = missing_combinations(game, players)
     return Contributions(
         full.changes,
         players,
-        None if any(v is None for v in singles) else mean_interval(np.stack(singles, axis=1)),  # type: ignore[arg-type]
+        None
+        if any(v is None for v in singles)
+        else mean_interval(np.stack(singles, axis=1), of_pair),  # type: ignore[arg-type]
         None
         if any(v is None for v in left_out)
-        else mean_interval(np.stack([game[all_of_them] - v for v in left_out], axis=1)),  # type: ignore[operator]
-        None if missing else mean_interval(shapley(game, players)),
+        else mean_interval(np.stack([game[all_of_them] - v for v in left_out], axis=1), of_pair),  # type: ignore[operator]
+        None if missing else mean_interval(shapley(game, players), of_pair),
         _say_missing(missing, players) if missing else "",
     )

@@ -11,9 +11,10 @@ from scipy.special import ndtr
 from scipy.stats import rankdata
 
 from .intervals import mean_interval
+from .units import mean_per_unit
 
 ALPHA = 0.05
-_EXACT = 200  # pairs up to which the null distribution is enumerated
+_EXACT = 200  # units up to which the null distribution is enumerated
 
 
 @dataclass(frozen=True)
@@ -45,21 +46,24 @@ class Difference:
         return self.p_holm < ALPHA and (self.low > 0 or self.high < 0)
 
 
-def differences(quality: np.ndarray, asked: Sequence[tuple[int, int]]) -> list[Difference]:
-    """Differences between setups, paired by pair and seed, as one family of tests.
+def differences(
+    quality: np.ndarray, asked: Sequence[tuple[int, int]], of_pair: np.ndarray | None = None
+) -> list[Difference]:
+    """Compute differences between setups, paired by pair and seed, as one family of tests.
 
-    Seeds of one pair are not independent, so a pair counts once in the test: by the mean of its
-    seeds' differences.
+    Seeds of one pair are not independent, and neither are pairs of one scene. Each unit, a scene or
+    a pair, therefore counts once in the test, with the mean of its differences.
 
     Args:
         quality: (P, C) mean over the seeds, larger is better.
         asked: (first, second).
+        of_pair: (P,) the unit of every pair, see :class:`~.units.Units`; None if every pair is one.
     """
     if not asked:
         return []
     d = np.stack([quality[:, i] - quality[:, j] for i, j in asked], axis=1)
-    interval = mean_interval(d)
-    p = [signed_rank(column) for column in d.T]
+    interval = mean_interval(d, of_pair)
+    p = [signed_rank(column) for column in mean_per_unit(d, of_pair).T]
     return [
         Difference(
             i,
@@ -102,10 +106,9 @@ def signed_rank(d: np.ndarray) -> float:
     return float(min(1.0, 2 * min(chance[: at + 1].sum(), chance[at:].sum())))
 
 
-def least_p(pairs: int, tests: int = 1) -> float:
-    """The smallest p that this many pairs can give, all on one side, corrected for the number of
-    tests."""
-    return min(1.0, tests * 2.0 ** (1 - pairs))
+def least_p(units: int, tests: int = 1) -> float:
+    """Return the smallest p that this many scenes or pairs can give, corrected for the tests."""
+    return min(1.0, tests * 2.0 ** (1 - units))
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -198,7 +198,7 @@ def ranking_figure(labels: Sequence[str], setups: Sequence[Setup], r: Ranking) -
         _whisker(ax, (r.average[c], r.average[c] - half, r.average[c] + half), y, setups[c])
     _rows(ax, [labels[c] for c in r.order])
     ax.set(
-        xlabel=f"average rank over {r.pairs} pairs (1: best on every pair)",
+        xlabel=f"average rank over {r.blocks} {r.unit}s (1: best on all of them)",
         xlim=(1 - half - 0.3, None),
     )
     ax.set_title("bars that overlap: not told apart", fontsize=10)

@@ -14,8 +14,10 @@ from .intervals import Interval, mean_interval, median_interval, share_best
 from .pareto import pareto_front
 from .ranks import Ranking, rank
 from .scores import Ablation, Scores
+from .units import Units, mean_per_unit
 
-_FEW = 8  # pairs below which a bootstrap cannot be relied on
+_FEW = 8  # scenes or pairs below which a bootstrap cannot be relied on
+_SATURATED = 0.95  # AUC of the worse half of the setups
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,22 +91,23 @@ def analyse(scores: Scores) -> Findings:
     asked = [c for c in alone if c not in (best, runner_up)]
     asked = ([] if runner_up is None else [runner_up]) + asked
     timed = _seconds(scores)
-    auc = {t: mean_interval(scores.auc(t)) for t in scores.measure.thresholds}
+    units = scores.units.of_pair
+    auc = {t: mean_interval(scores.auc(t), units) for t in scores.measure.thresholds}
     return Findings(
         scores=scores,
         auc=auc,
-        median=median_interval(scores.capped),
-        mean=mean_interval(scores.capped.mean(2)),
+        median=median_interval(scores.capped, units),
+        mean=mean_interval(scores.capped.mean(2), units),
         seconds=timed,
         front=pareto_front(timed.value, 1 - np.round(q.mean(0), 12)),
-        chance_best=share_best(q),
+        chance_best=share_best(q, units),
         best=best,
         runner_up=runner_up,
-        questions=differences(q, [(best, c) for c in asked]),
-        rivals=differences(q, [(best, int(c)) for c in order[1:]]),
-        every=differences(q, list(combinations(map(int, order), 2))),
-        fusion=next(iter(differences(q, together)), None),
-        ranking=rank(q) if len(order) > 1 else None,
+        questions=differences(q, [(best, c) for c in asked], units),
+        rivals=differences(q, [(best, int(c)) for c in order[1:]], units),
+        every=differences(q, list(combinations(map(int, order), 2)), units),
+        fusion=next(iter(differences(q, together, units)), None),
+        ranking=rank(mean_per_unit(q, units), unit=scores.units.name) if len(order) > 1 else None,
         contributions=contributions(scores),
     )
 
@@ -119,18 +122,19 @@ def _seconds(scores: Scores) -> Interval:
         out=np.full(counts.shape, np.nan),
         where=counts > 0,
     )
-    complete = a_pair[~np.isnan(a_pair).any(1)]
-    if not len(complete):
+    complete = ~np.isnan(a_pair).any(1)
+    if not complete.any():
         return Interval(*np.full((3, len(scores.setups)), np.nan))
-    return mean_interval(complete)
+    _, units = np.unique(scores.units.of_pair[complete], return_inverse=True)
+    return mean_interval(a_pair[complete], units)
 
 
 def overall(ablation: Ablation) -> tuple[tuple[str, ...], Ranking] | None:
     """Names and ranking of the setups over the pairs of all data sets; None where the data sets
     differ in their setups.
 
-    Ranks have no unit, so pixels and degrees may meet; every pair counts alike, whatever its data
-    set.
+    Ranks have no unit, so errors in pixels and in degrees can be combined. Every scene or pair has
+    the same weight, whatever its data set.
     """
     first = ablation.blocks[0]
     if (
@@ -139,7 +143,9 @@ def overall(ablation: Ablation) -> tuple[tuple[str, ...], Ranking] | None:
         or any(b.setups != first.setups for b in ablation.blocks)
     ):
         return None
-    return tuple(first.labels), rank(np.concatenate([b.quality for b in ablation.blocks]))
+    means = [mean_per_unit(b.quality, b.units.of_pair) for b in ablation.blocks]
+    names = dict.fromkeys(b.units.name for b in ablation.blocks)
+    return tuple(first.labels), rank(np.concatenate(means), unit=" or ".join(names))
 
 
 def answers(f: Findings) -> list[str]:
@@ -153,7 +159,7 @@ def answers(f: Findings) -> list[str]:
     words = [
         f"Best: {s.label(f.best)}, with an area under the curve up to {unit} of "
         f"{value:.3f}{_between(low, high)}, over {n} "
-        f"{_plural(n, 'pair')} and {s.seeds} {_plural(s.seeds, 'seed')}"
+        f"{_plural(n, 'pair')}{_of_scenes(s)} and {s.seeds} {_plural(s.seeds, 'seed')}"
         + (
             f"; {failed} of its {runs} runs gave no answer."
             if failed
@@ -166,10 +172,22 @@ def answers(f: Findings) -> list[str]:
             "the column failure of the sweep's "
             "table says why."
         )
-    if n < _FEW:
+    if len(s.units) < _FEW:
         words.append(
-            f"So few pairs ({n}) make intervals that are too narrow, and say little about other "
-            "photographs."
+            f"With so few independent {s.units.name}s ({len(s.units)}) the intervals are too "
+            "narrow, and say little about other photographs."
+        )
+    if s.units.name == "pair" and len(set(s.scenes)) < n:
+        words.append(
+            f"The pairs come from {len(set(s.scenes))} {_plural(len(set(s.scenes)), 'scene')}: "
+            "intervals and tests take the pairs as independent, and describe other pairs of the "
+            "same kind of scene only."
+        )
+    if float(np.median(s.quality.mean(0))) > _SATURATED:
+        option = "--threshold-deg" if s.measure.unit == "°" else "--threshold-px"
+        words.append(
+            f"Half of the setups reach more than {_SATURATED} at {unit}; a smaller threshold "
+            f"({option}) separates them better."
         )
     if f.runner_up is None:
         return words
@@ -177,11 +195,11 @@ def answers(f: Findings) -> list[str]:
     words.append(
         f"Next is {s.label(second.second)}, {second.value:.3f} "
         f"behind{_between(second.low, second.high)}: "
-        + _verdict(second, n, len(f.questions))
+        + _verdict(second, s.units, len(f.questions))
         + (
-            f" If the {n} pairs were drawn again, {s.label(f.best)} would come first in about "
-            f"{100 * f.chance_best[f.best]:.0f} % of the draws."
-            if n > 1
+            f" {s.label(f.best)} has the largest area in {100 * f.chance_best[f.best]:.0f} % of "
+            f"the bootstrap samples of the {s.units.count()}."
+            if len(s.units) > 1
             else ""
         )
     )
@@ -220,7 +238,7 @@ def _fusion(f: Findings, d: Difference) -> str:
         f"Does fusing help? All {len(s.operators)} operators together reach {reach:.3f}, the "
         f"best of them alone, {s.label(d.second)}, "
         f"{alone:.3f}: {d.value:+.3f}{_between(d.low, d.high)}, better on {d.better} of "
-        f"{len(s.pairs)} pairs and worse on {d.worse}; " + _verdict(d, len(s.pairs), 1)
+        f"{len(s.pairs)} pairs and worse on {d.worse}; " + _verdict(d, s.units, 1)
     )
 
 
@@ -229,11 +247,9 @@ def _cheapest(f: Findings) -> str:
     s, equal = f.scores, f.equals
     if len(equal) == 1:
         return f"It is better than every other of the {len(s.setups)} setups."
-    least = least_p(len(s.pairs), len(f.rivals))
+    least = least_p(len(s.units), len(f.rivals))
     words = f"{len(equal) - 1} of the other {len(f.rivals)} setups are not shown to be worse"
-    words += (
-        f" ({len(s.pairs)} pairs cannot show it of so many at once). " if least >= ALPHA else ". "
-    )
+    words += f" ({s.units.count()} cannot show it of so many at once). " if least >= ALPHA else ". "
     if not np.isfinite(f.seconds.value).all():
         return (
             words
@@ -274,14 +290,19 @@ def _shares(f: Findings) -> list[str]:
     return words
 
 
-def _verdict(d: Difference, pairs: int, tests: int) -> str:
+def _of_scenes(s: Scores) -> str:
+    """The number of scenes, where they are the independent units."""
+    return f" of {s.units.count()}" if s.units.name == "scene" else ""
+
+
+def _verdict(d: Difference, units: Units, tests: int) -> str:
     p = f"p {_p(d.p_holm)}" + (f", corrected for {tests} tests" if tests > 1 else "")
     if d.real:
         return f"the difference is real ({p})."
-    if least_p(pairs, tests) >= ALPHA:
+    if least_p(len(units), tests) >= ALPHA:
         return (
-            "so few pairs cannot show a difference, however large (p could not be below "
-            f"{least_p(pairs, tests):.2f})."
+            f"{units.count()} cannot show a difference, however large (p could not be below "
+            f"{least_p(len(units), tests):.2f})."
         )
     return f"the difference is not shown to be real ({p})."
 

@@ -1,5 +1,4 @@
-"""Setups ranked over pairs: Friedman's test, and Nemenyi's critical difference between average
-ranks."""
+"""Setups ranked over scenes or pairs: Friedman's test and Nemenyi's critical difference."""
 
 from __future__ import annotations
 
@@ -23,7 +22,8 @@ class Ranking:
         critical_difference: average ranks that lie closer are not told apart.
         groups: (first, last) places in `order` of the largest groups of setups that are not told
             apart.
-        pairs: how many were ranked on.
+        blocks: number of scenes or pairs on which the setups were ranked.
+        unit: ``scene``, ``pair`` or both.
     """
 
     average: np.ndarray
@@ -32,14 +32,16 @@ class Ranking:
     p: float
     critical_difference: float
     groups: tuple[tuple[int, int], ...]
-    pairs: int
+    blocks: int
+    unit: str = "pair"
 
 
-def rank(quality: np.ndarray, alpha: float = ALPHA) -> Ranking:
-    """Rank setups on every pair, and compare the average ranks.
+def rank(quality: np.ndarray, alpha: float = ALPHA, *, unit: str = "pair") -> Ranking:
+    """Rank setups on every scene or pair, and compare the average ranks.
 
     Args:
-        quality: (P, C) larger is better; ties share their ranks.
+        quality: (G, C) larger is better; ties share their ranks.
+        unit: what a row of `quality` is.
 
     Source: Demsar, JMLR 7 (2006), section 3.2.2; Friedman's statistic with the correction for ties
     of Hollander & Wolfe (equation 7.8).
@@ -70,6 +72,7 @@ def rank(quality: np.ndarray, alpha: float = ALPHA) -> Ranking:
         cd,
         _groups(average[order], cd),
         n,
+        unit,
     )
 
 

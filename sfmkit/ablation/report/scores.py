@@ -9,15 +9,30 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...errors import InputError
+from .units import Choice, Units, choose_units
 
 Row = Mapping[str, Any]
+COLUMNS = (
+    "dataset",
+    "sequence",
+    "pair",
+    "has_truth",
+    "operators",
+    "preset",
+    "vary",
+    "seed",
+    "error",
+    "error_unit",
+    "seconds",
+    "status",
+)
 
 
 @dataclass(frozen=True)
@@ -41,6 +56,22 @@ class Measure:
     def show(self, value: float) -> str:
         """A value with its unit."""
         return f"{value:g}°" if self.unit == "°" else f"{value:g} {self.unit}"
+
+    def at(self, threshold: float | None) -> Measure:
+        """This measure with another main threshold; None changes nothing.
+
+        Raises:
+            InputError: The threshold is not positive, or not below the ceiling.
+        """
+        if threshold is None:
+            return self
+        if not 0 < threshold < self.ceiling:
+            raise InputError(
+                f"the threshold must be above 0 and below {self.show(self.ceiling)}, not "
+                f"{self.show(threshold)}"
+            )
+        shown = tuple(sorted({*self.thresholds, threshold}))
+        return replace(self, thresholds=shown, main=threshold)
 
 
 MEASURES = {
@@ -87,6 +118,8 @@ class Scores:
         dataset: its name.
         measure: what the errors are.
         pairs: P names.
+        scenes: the scene (sequence) of each pair.
+        units: what intervals and tests take as independent, scenes or pairs.
         setups: C of them, small combinations first.
         operators: of the sweep, in its order.
         errors: (P, C, S), in the measure's unit; infinite where there is no answer.
@@ -97,6 +130,8 @@ class Scores:
     dataset: str
     measure: Measure
     pairs: tuple[str, ...]
+    scenes: tuple[str, ...]
+    units: Units
     setups: tuple[Setup, ...]
     operators: tuple[str, ...]
     errors: np.ndarray
@@ -165,13 +200,27 @@ class Ablation:
     without_truth: Mapping[str, int]
 
 
-def score(rows: Iterable[Row]) -> Ablation:
-    """Scores of the rows of a sweep (columns as in ``docs/ablation.md``), in whatever order they
-    come.
+def score(
+    rows: Iterable[Row],
+    *,
+    threshold_px: float | None = None,
+    threshold_deg: float | None = None,
+    units: Choice = "auto",
+) -> Ablation:
+    """Arrange the rows of a sweep (columns as in ``docs/ablation.md``), in any order, as arrays.
+
+    Args:
+        rows: with at least :data:`COLUMNS`.
+        threshold_px, threshold_deg: error up to which the area under the curve is compared; None
+            for 5 px and 5 degrees.
+        units: what intervals and tests take as independent, see
+            :func:`~.units.choose_units`.
 
     Raises:
-        InputError: no row has a truth to compare with; rows are missing or there twice.
+        InputError: no row has a truth to compare with; rows are missing or there twice; a threshold
+            is out of range.
     """
+    measures = {"px": MEASURES["px"].at(threshold_px), "deg": MEASURES["deg"].at(threshold_deg)}
     known: dict[tuple[str, str], list[Row]] = {}
     without: dict[str, int] = {}
     for row in rows:
@@ -185,21 +234,23 @@ def score(rows: Iterable[Row]) -> Ablation:
             "ground truth, such as "
             "oxford, strecha, synthetic or planes"
         )
-    units = [dataset for dataset, _ in known]
+    names = [dataset for dataset, _ in known]
     blocks = []
     for dataset, unit in sorted(known):
-        name = dataset if units.count(dataset) == 1 else f"{dataset} ({MEASURES[unit].unit})"
-        blocks.append(_block(name, MEASURES[unit], known[dataset, unit]))
+        name = dataset if names.count(dataset) == 1 else f"{dataset} ({measures[unit].unit})"
+        blocks.append(_block(name, measures[unit], known[dataset, unit], units))
     return Ablation(tuple(blocks), dict(sorted(without.items())))
 
 
-def _block(dataset: str, measure: Measure, rows: Sequence[Row]) -> Scores:
+def _block(dataset: str, measure: Measure, rows: Sequence[Row], units: Choice) -> Scores:
     order = _operator_order(rows)
     setups = sorted(
         {_setup(r) for r in rows},
         key=lambda s: (len(s.operators), [order.index(o) for o in s.operators], s.preset, s.vary),
     )
-    pairs = sorted({f"{r['sequence']} {r['pair']}" for r in rows})
+    scene_of = {f"{r['sequence']} {r['pair']}": r["sequence"] for r in rows}
+    pairs = sorted(scene_of)
+    scenes = tuple(scene_of[pair] for pair in pairs)
     seeds = sorted({r["seed"] for r in rows})
     at_setup, at_pair, at_seed = (
         {v: i for i, v in enumerate(values)} for values in (setups, pairs, seeds)
@@ -228,7 +279,18 @@ def _block(dataset: str, measure: Measure, rows: Sequence[Row]) -> Scores:
             f"{setups[c].combination}, seed {seeds[s]}; end the sweep first, with the command "
             "that began it"
         )
-    return Scores(dataset, measure, tuple(pairs), tuple(setups), order, errors, seconds, broken)
+    return Scores(
+        dataset,
+        measure,
+        tuple(pairs),
+        scenes,
+        choose_units(scenes, units),
+        tuple(setups),
+        order,
+        errors,
+        seconds,
+        broken,
+    )
 
 
 def _setup(row: Row) -> Setup:
@@ -236,7 +298,6 @@ def _setup(row: Row) -> Setup:
 
 
 def _operator_order(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The operators in the order that the sweep has them in: the largest combination tells most of
-    it."""
+    """The operators in the order of the sweep, which the largest combination shows best."""
     combinations = sorted({tuple(r["operators"]) for r in rows}, key=lambda c: (-len(c), c))
     return tuple(dict.fromkeys(o for c in combinations for o in c))

@@ -6,9 +6,10 @@ import re
 
 import numpy as np
 
-from ...reports.result import MINUS, Cell, Column, ResultTable
+from ...reports.result import Cell, Column, ResultTable
 from .contributions import Contributions
 from .findings import Findings
+from .intervals import Interval
 from .ranks import Ranking
 
 
@@ -17,8 +18,10 @@ def slug(name: str) -> str:
 
 
 def tables(f: Findings) -> list[ResultTable]:
-    """Of one data set: setups, answers' tests, contributions, ranking, all differences."""
+    """Make the tables of a data set: setups, scenes, tests, contributions, ranks, differences."""
     made = [setup_table(f)]
+    if len(set(f.scores.scenes)) > 1:
+        made.append(scene_table(f))
     if f.questions:
         made.append(
             _difference_table(
@@ -44,11 +47,11 @@ def setup_table(f: Findings) -> ResultTable:
             (
                 s.label(c),
                 *(float(f.auc[t].value[c]) for t in s.measure.thresholds),
-                between(*f.auc[main].at(c)[1:]),
+                f.auc[main].at(c)[1:],
                 float(f.median.value[c]),
-                between(*f.median.at(c)[1:]),
+                f.median.at(c)[1:],
                 float(f.mean.value[c]),
-                between(*f.mean.at(c)[1:]),
+                f.mean.at(c)[1:],
                 int(s.failures[c]),
                 float(f.seconds.value[c]),
                 "yes" if f.front[c] else "",
@@ -58,11 +61,11 @@ def setup_table(f: Findings) -> ResultTable:
     columns = (
         Column("setup"),
         *(Column(f"AUC {s.measure.show(t)}", ".3f") for t in s.measure.thresholds),
-        Column(f"95 % of AUC {s.measure.show(main)}", ">"),
+        Column(f"95 % of AUC {s.measure.show(main)}", ".3f", interval=True),
         Column(f"median, {unit}", ".3f"),
-        Column("95 % of median", ">"),
+        Column("95 % of median", _spec(f.median), interval=True),
         Column(f"mean, {unit}", ".3f"),
-        Column("95 % of mean", ">"),
+        Column("95 % of mean", _spec(f.mean), interval=True),
         Column("no answer", "d"),
         Column("s per pair", ".2f"),
         Column("on the front"),
@@ -75,21 +78,63 @@ def setup_table(f: Findings) -> ResultTable:
         "the most that any run counts, in "
         f"median and mean. No answer: of {len(s.pairs) * s.seeds} runs. On the front: no other "
         "setup is both faster and better. Best in: share "
-        "of the bootstrap samples. Seconds: all stages on one core, as if the setup ran alone."
+        f"of the bootstrap samples of the {s.units.count()}. Seconds: all stages on one "
+        "core, as if the setup ran alone."
     )
     return ResultTable(
         f"{slug(s.dataset)}-setups", f"{s.dataset}: every setup", columns, tuple(rows), note
     )
 
 
+def scene_table(f: Findings) -> ResultTable:
+    """Compare every scene's best setup with the best of all scenes and with single operators."""
+    s = f.scores
+    fused = [] if f.fusion is None else [f.fusion.first]
+    shown = list(dict.fromkeys([f.best, *fused, *s.singles]))
+    scenes = np.asarray(s.scenes)
+    rows: list[tuple[Cell, ...]] = []
+    for name in dict.fromkeys(s.scenes):
+        mine = scenes == name
+        quality = s.quality[mine].mean(0)
+        first = int(np.argmax(np.round(quality, 12)))
+        rows.append(
+            (
+                name,
+                int(mine.sum()),
+                s.label(first),
+                float(quality[first]),
+                *(float(quality[c]) for c in shown),
+                int(np.isinf(s.errors[mine][:, f.best]).sum()),
+            )
+        )
+    unit = s.measure.show(s.measure.main)
+    columns = (
+        Column("scene"),
+        Column("pairs", "d"),
+        Column("best setup here"),
+        Column("its AUC", ".3f"),
+        *(Column(s.label(c), ".3f") for c in shown),
+        Column(f"no answer of {s.label(f.best)}", "d"),
+    )
+    note = (
+        f"AUC {unit} of the pairs of every scene: of the setup that is best there, of "
+        f"{s.label(f.best)}, which is best over all scenes, and of single operators. The best "
+        "setup of a scene was chosen among all setups on few pairs, so its AUC is too high."
+    )
+    return ResultTable(
+        f"{slug(s.dataset)}-scenes", f"{s.dataset}: every scene", columns, tuple(rows), note
+    )
+
+
 def _difference_table(f: Findings, name: str, every: list, title: str) -> ResultTable:
     s = f.scores
+    unit = s.units.name
     rows: list[tuple[Cell, ...]] = [
         (
             s.label(d.first),
             s.label(d.second),
             d.value,
-            between(d.low, d.high, signed=True),
+            (d.low, d.high),
             d.better,
             d.worse,
             d.p,
@@ -102,7 +147,7 @@ def _difference_table(f: Findings, name: str, every: list, title: str) -> Result
         Column("setup"),
         Column("less"),
         Column(f"AUC {s.measure.show(s.measure.main)}", "+.3f"),
-        Column("95 %", ">"),
+        Column("95 %", "+.3f", interval=True),
         Column("better on", "d"),
         Column("worse on", "d"),
         Column("p", ".2g"),
@@ -110,9 +155,9 @@ def _difference_table(f: Findings, name: str, every: list, title: str) -> Result
         Column("real"),
     )
     note = (
-        "Differences are paired by pair and seed; intervals are BCa bootstrap over the pairs; p "
-        "is of Wilcoxon's signed-rank test on "
-        "the pairs' differences. Real: the corrected p is below 0.05 and the interval leaves "
+        f"Differences are paired by pair and seed; intervals are BCa bootstrap over the {unit}s; "
+        f"p is of Wilcoxon's signed-rank test on the mean differences of the {unit}s; better and "
+        "worse count pairs. Real: the corrected p is below 0.05 and the interval leaves "
         "zero out."
     )
     return ResultTable(f"{slug(s.dataset)}-{name}", title, columns, tuple(rows), note)
@@ -124,19 +169,14 @@ def _contribution_table(f: Findings, c: Contributions) -> ResultTable:
     rows = []
     for k, operator in enumerate(c.operators):
         row: list[Cell] = [operator]
-        for name, interval in parts.items():
-            if interval is None:
-                row += [None, ""]
-            else:
-                row += [
-                    float(interval.value[k]),
-                    between(*interval.at(k)[1:], signed=name != "alone"),
-                ]
+        for interval in parts.values():
+            row += [None, None] if interval is None else [_value(interval, k), interval.at(k)[1:]]
         rows.append(tuple(row))
+    specs = {name: ".3f" if name == "alone" else "+.3f" for name in parts}
     heads = [
         h
-        for name in parts
-        for h in (Column(name, "+.3f" if name != "alone" else ".3f"), Column("95 %", ">"))
+        for name, spec in specs.items()
+        for h in (Column(name, spec), Column(f"95 % of {name}", spec, interval=True))
     ]
     which = f", {c.variant}" if s.several else ""
     note = (
@@ -166,7 +206,7 @@ def ranking_table(dataset: str, labels: tuple[str, ...], r: Ranking) -> ResultTa
         ]
         rows.append((labels[c], float(r.average[c]), " ".join(groups)))
     note = (
-        f"Setups ranked on each of {r.pairs} pairs by their AUC, 1 the best. Friedman's χ² = "
+        f"Setups ranked on each of {r.blocks} {r.unit}s by their AUC, 1 the best. Friedman's χ² = "
         f"{r.statistic:.1f}, p = {r.p:.2g}. Nemenyi's critical "
         f"difference (α = 0.05) is {r.critical_difference:.2f}: setups that share a letter are "
         "not told apart."
@@ -175,9 +215,11 @@ def ranking_table(dataset: str, labels: tuple[str, ...], r: Ranking) -> ResultTa
     return ResultTable(f"{slug(dataset)}-ranking", f"{dataset}: ranks", columns, tuple(rows), note)
 
 
-def between(low: float, high: float, signed: bool = False) -> str:
-    """The bounds of an interval in a cell."""
-    if np.isnan(low):
-        return ""
-    spec = "+.3f" if signed else ".3f" if max(abs(low), abs(high)) < 10 else ".1f"
-    return f"{low:{spec}} to {high:{spec}}".replace("-", MINUS)
+def _value(interval: Interval, k: int) -> float:
+    return float(interval.value[k])
+
+
+def _spec(interval: Interval) -> str:
+    """Three decimals for small bounds, one for large ones."""
+    finite = np.abs(np.stack([interval.low, interval.high]))
+    return ".3f" if not np.isfinite(finite).any() or np.nanmax(finite) < 10 else ".1f"

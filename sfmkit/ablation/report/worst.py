@@ -64,14 +64,15 @@ class Rerun:
 
 
 def choose_worst(
-    folder: Path, findings: Sequence[Findings], most: int, combination: str | None = None
+    folders: Sequence[Path], findings: Sequence[Findings], most: int, combination: str | None = None
 ) -> list[Case]:
-    """The pairs with the largest errors, at the worst of their seeds, relative to what their data
-    set is judged by.
+    """Choose the pairs with the largest errors relative to the threshold of their data set.
+
+    The error of a pair is that of its worst seed.
 
     Args:
-        folder: of the sweep.
-        findings: of its data sets.
+        folders: of the sweeps.
+        findings: of their data sets.
         most: at most this many.
         combination: whose runs, ``surf/orb`` in any order; None: of each data set's best setup.
 
@@ -103,10 +104,15 @@ def choose_worst(
             s.vary,
         )
 
-    pairs = {(p["dataset"], p["sequence"], p["pair"]): p for p in read_sweep(folder)["pairs"]}
+    pairs = {
+        (p["dataset"], p["sequence"], p["pair"]): p
+        for folder in folders
+        for p in read_sweep(folder)["pairs"]
+    }
+    threshold = {f.scores.measure.unit: f.scores.measure.main for f in findings}
     worst: dict[tuple, Row] = {}
     least: dict[tuple, Row] = {}
-    for row in read_table(folder):
+    for row in (row for folder in folders for row in read_table(folder)):
         if not row["has_truth"] or row["status"] == "failed":
             continue
         key = (row["dataset"], row["sequence"], row["pair"])
@@ -116,9 +122,12 @@ def choose_worst(
             least[key] = row
     if not worst:
         raise InputError("there is no run to show: none has both its images and a true geometry")
-    ordered = sorted(
-        worst, key=lambda key: -worst[key]["error"] / MEASURES[worst[key]["error_unit"]].main
-    )
+
+    def excess(key: tuple) -> float:
+        row = worst[key]
+        return row["error"] / threshold[MEASURES[row["error_unit"]].unit]
+
+    ordered = sorted(worst, key=excess, reverse=True)
     return [
         Case(
             worst[key],

@@ -16,7 +16,7 @@ from sfmkit.ablation.report.findings import analyse
 from sfmkit.ablation.report.scores import score
 from sfmkit.ablation.report.worst import Case, choose_worst, describe, run_again
 from sfmkit.ablation.report.worst_recording import save_worst
-from sfmkit.ablation.table import write_table
+from sfmkit.ablation.table_file import write_table
 from sfmkit.cli import main
 from sfmkit.datasets import pairs
 from sfmkit.errors import InputError
@@ -41,7 +41,7 @@ def findings(sweep):
 
 
 def test_the_worst_come_first_and_the_best_run_of_their_pair_goes_with_them(sweep, findings):
-    cases = choose_worst(sweep, findings, 9, "fast-brief")
+    cases = choose_worst([sweep], findings, 9, "fast-brief")
     assert len(cases) == 3
     shares = [case.row["error"] / 5 for case in cases]
     assert shares == sorted(shares, reverse=True)
@@ -55,7 +55,7 @@ def test_the_worst_come_first_and_the_best_run_of_their_pair_goes_with_them(swee
         least = min(r["error"] for r in mine)
         assert case.better is None or case.better["error"] == least
         assert (case.better is None) == (least >= 0.9 * case.row["error"])
-    (one,) = choose_worst(sweep, findings, 1)
+    (one,) = choose_worst([sweep], findings, 1)
     best = {f.scores.setups[f.best].operators for f in findings}
     assert tuple(one.row["operators"]) in best
 
@@ -65,12 +65,12 @@ def test_other_combinations_are_refused_by_name(sweep, findings):
         InputError,
         match=r"no run of this sweep has the combination 'sift'; it has orb, fast-brief, orb/fast",
     ):
-        choose_worst(sweep, findings, 1, "sift")
-    assert choose_worst(sweep, findings, 1, "fast-brief / orb")[0].row["n_operators"] == 2
+        choose_worst([sweep], findings, 1, "sift")
+    assert choose_worst([sweep], findings, 1, "fast-brief / orb")[0].row["n_operators"] == 2
 
 
 def test_a_run_made_again_is_the_same_and_another_is_noticed(sweep, findings):
-    for case in choose_worst(sweep, findings, 9, "orb/fast-brief"):
+    for case in choose_worst([sweep], findings, 9, "orb/fast-brief"):
         again = run_again(case, case.row)
         assert again.same
         assert "another estimate" not in describe(case, again)
@@ -82,7 +82,7 @@ def test_a_run_made_again_is_the_same_and_another_is_noticed(sweep, findings):
 
 
 def test_the_recording_holds_images_matches_and_outlines(sweep, findings, tmp_path):
-    cases = choose_worst(sweep, findings, 3, "fast-brief")
+    cases = choose_worst([sweep], findings, 3, "fast-brief")
     save_worst(tmp_path / "worst.rrd", cases)
     recording = read_recording(tmp_path / "worst.rrd")
     for number, case in enumerate(cases, start=1):
@@ -135,4 +135,4 @@ def test_runs_that_broke_cannot_be_shown(sweep, findings, tmp_path):
     broken = table.set_column(column, "status", pa.array(["failed"] * len(table)))
     write_table(broken, copy / "ablation.parquet")
     with pytest.raises(InputError, match="no run to show"):
-        choose_worst(copy, findings, 1)
+        choose_worst([copy], findings, 1)

@@ -60,6 +60,64 @@ def test_scores_are_those_of_all_pairs_and_seeds_and_failures_count(rows, findin
         assert s.failures[c] == (6 if setup.operators == ("orb",) else 0)
 
 
+def test_the_threshold_is_chosen_and_a_saturated_one_is_said(rows):
+    (block,) = score(rows, threshold_px=0.4).blocks
+    assert block.measure.thresholds == (0.4, 1, 3, 5, 10)
+    c = block.labels.index("surf")
+    errors = [r["error"] for r in rows if r["operators"] == ["surf"]]
+    expected = np.mean(np.clip(1 - np.array(errors) / 0.4, 0, None))
+    assert block.quality[:, c].mean() == pytest.approx(expected)
+    assert "area under the curve up to 0.4 px" in " ".join(answers(analyse(block)))
+    for bad in (0, 100, float("nan")):
+        with pytest.raises(InputError, match="threshold must be above 0"):
+            score(rows, threshold_px=bad)
+    easy = [r | {"error": r["error"] / 1000} for r in rows if r["operators"] != ["orb"]]
+    text = " ".join(answers(analyse(score(easy).blocks[0])))
+    assert "(--threshold-px) separates them better" in text
+
+
+def test_the_table_of_scenes_has_the_mean_of_their_pairs(findings):
+    (table,) = [t for t in tables(findings) if t.name == "oxford-scenes"]
+    heads = [c.name for c in table.columns]
+    assert [row[0] for row in table.rows] == [f"scene{k}" for k in range(4)]
+    s = findings.scores
+    for k, row in enumerate(table.rows):
+        mine = s.quality[5 * k : 5 * k + 5]
+        assert row[1] == 5
+        assert row[heads.index("its AUC")] == pytest.approx(mine.mean(0).max())
+        assert row[heads.index("surf")] == pytest.approx(mine[:, s.labels.index("surf")].mean())
+
+
+def test_every_cell_of_a_csv_file_is_a_number_or_a_text_under_a_unique_head(report):
+    for file in report.page.parent.glob("*.csv"):
+        head, *lines = csv.reader(io.StringIO(file.read_text()))
+        assert len(set(head)) == len(head), file
+        assert not any(re.search(r"\d to [\d-]", cell) for line in lines for cell in line), file
+    lines = csv.DictReader(io.StringIO((report.page.parent / "oxford-setups.csv").read_text()))
+    for line in lines:
+        low, high = (float(line[f"95 % of AUC 5 px, {end}"]) for end in ("low", "high"))
+        assert low <= float(line["AUC 5 px"]) <= high
+
+
+def test_shards_and_other_sweeps_make_one_report(tmp_path, rows):
+    poses = made_up_rows(dataset="strecha", pairs=10, unit="deg", seed=2)
+    parts = {"1": rows[:210], "2": rows[210:], "3": poses}
+    folders = [str(made_up_sweep(tmp_path / name, part)) for name, part in parts.items()]
+
+    def run(*arguments):
+        return CliRunner().invoke(main, ["ablate", "report", *arguments, "--quiet"])
+
+    done = run(*folders)
+    assert done.exit_code == 2
+    assert "--out FOLDER" in done.output
+    done = run(*folders, "--out", str(tmp_path / "all"))
+    assert done.exit_code == 0, done.output
+    whole = write_report(made_up_sweep(tmp_path / "whole", rows + poses))
+    for file in whole.page.parent.glob("*.csv"):
+        assert (tmp_path / "all" / file.name).read_text() == file.read_text()
+    assert "is there twice" in run(*folders, folders[0], "--out", str(tmp_path / "x")).output
+
+
 def test_the_order_of_the_rows_does_not_matter(rows):
     shuffled = random.Random(0).sample(rows, len(rows))
     first, second = (analyse(score(r).blocks[0]) for r in (rows, shuffled))
@@ -129,7 +187,7 @@ def test_equal_setups_are_not_called_different_and_the_faster_one_is_named():
 
 def test_few_pairs_are_said_to_be_few():
     f = analyse(score(made_up_rows(pairs=4)).blocks[0])
-    assert any("So few pairs (4)" in a for a in answers(f))
+    assert any("so few independent pairs (4)" in a for a in answers(f))
     assert any("however large" in a for a in answers(f))
     one = analyse(score(made_up_rows(pairs=1)).blocks[0])
     assert "nan" not in " ".join(answers(one))
@@ -172,7 +230,7 @@ def test_missing_combinations_cost_the_shapley_values_only():
 def test_all_data_sets_are_ranked_together(rows):
     both = score(rows + made_up_rows(dataset="strecha", unit="deg", pairs=10))
     labels, ranking = overall(both)
-    assert ranking.pairs == 30
+    assert (ranking.blocks, ranking.unit) == (30, "pair")
     assert labels[ranking.order[0]] == "surf/orb/fast-brief"
     assert overall(score(rows)) is None
 

@@ -144,7 +144,8 @@ def _pair_list(name: str):
 def _tables(folder: Path) -> list[bytes]:
     from made_up_sweep import made_up_rows
 
-    from sfmkit.ablation.table import table_of, write_table
+    from sfmkit.ablation.table import table_of
+    from sfmkit.ablation.table_file import write_table
 
     write_table(table_of(made_up_rows(pairs=3, seeds=1)), folder / "seed.parquet")
     return [(folder / "seed.parquet").read_bytes()]
@@ -157,7 +158,7 @@ def _read_table(data: bytes, folder: Path) -> None:
 
 
 def _read_shard(data: bytes, folder: Path) -> None:
-    from sfmkit.ablation.table import read_shard
+    from sfmkit.ablation.table_file import read_shard
 
     read_shard(write(folder / "shard.parquet", data))
 
