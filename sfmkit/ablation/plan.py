@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .._utils.progress import Progress, silent
+from .._utils.sharding import part_of
 from ..datasets import Pair
 from ..errors import InputError
 from ..features import choose_operators
@@ -209,26 +210,6 @@ def make_plan(
     return Plan(
         tuple(found), names, tuple(combinations), tuple(variants), seeds, tuple(units), own, shard
     )
-
-
-def part_of(pairs: Sequence[Pair], shard: tuple[int, int] | None) -> Sequence[Pair]:
-    """The pairs of a shard: consecutive ones, in parts whose sizes differ by at most one.
-
-    Args:
-        pairs: All pairs of the sweep.
-        shard: (i, n) for part i of n, i from 1; None for all.
-
-    Raises:
-        InputError: There are fewer pairs than shards, or i is not from 1 to n.
-    """
-    if shard is None:
-        return pairs
-    number, of = shard
-    if not 1 <= number <= of:
-        raise InputError(f"shard must be (i, n) with 1 <= i <= n, not {shard}")
-    if of > len(pairs):
-        raise InputError(f"{len(pairs)} pairs cannot be split into {of} shards")
-    return pairs[len(pairs) * (number - 1) // of : len(pairs) * number // of]
 
 
 def chosen_plugins(

@@ -6,14 +6,14 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from .._utils.progress import Progress
 from .parsing import matchers as parse_matchers
-from .parsing import names
+from .parsing import names, parse_shard
 from .progress import resumable
 
 if TYPE_CHECKING:
@@ -54,6 +54,15 @@ MAX_SIZE = click.option(
 )
 
 
+SHARD = click.option(
+    "--shard",
+    callback=parse_shard,
+    metavar="I/N",
+    help="Only part I of N of the pairs. Run the command without it, with the same --out, to "
+    "collect all parts.",
+)
+
+
 def OUT(name: str) -> Callable:
     """The option --out with its default."""
     return click.option(
@@ -74,6 +83,7 @@ def OUT(name: str) -> Callable:
 @click.option(
     "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
 )
+@SHARD
 @OUT("oxford")
 @DATA
 def oxford(
@@ -81,6 +91,7 @@ def oxford(
     operators: tuple[str, ...],
     seeds: int,
     workers: int | None,
+    shard: Any,
     out: Path,
     data: Path | None,
 ) -> None:
@@ -96,6 +107,7 @@ def oxford(
             operators=operators,
             seeds=seeds,
             workers=workers,
+            shard=shard,
             progress=report,
         )
     hand_over(out, oxford_result(rows, out, command_line()))
@@ -254,6 +266,7 @@ def uav(
 )
 @click.option("--seeds", type=click.IntRange(1, 10_000), default=1, show_default=True, metavar="N")
 @MAX_SIZE
+@SHARD
 @OUT("pairs")
 def pairs_of_any_data(
     sources: tuple[str, ...],
@@ -264,6 +277,7 @@ def pairs_of_any_data(
     preset: str,
     seeds: int,
     max_size: int | None,
+    shard: Any,
     out: Path,
 ) -> None:
     """Operators alone and together on the pairs of any data set, with errors where there is truth.
@@ -284,6 +298,7 @@ def pairs_of_any_data(
             preset=preset,
             seeds=seeds,
             max_size=max_size,
+            shard=shard,
             progress=report,
         )
     hand_over(out, pairs_result(rows, command_line()))
@@ -300,12 +315,14 @@ def pairs_of_any_data(
 @click.option(
     "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
 )
+@SHARD
 @OUT("verdict")
 @DATA
 def verdict_of_pairs(
     groups: tuple[str, ...] | None,
     operators: tuple[str, ...],
     workers: int | None,
+    shard: Any,
     out: Path,
     data: Path | None,
 ) -> None:
@@ -319,7 +336,13 @@ def verdict_of_pairs(
 
     with parts_bar("verdict") as report:
         rows = bench_verdict(
-            out, data=data, groups=groups, operators=operators, workers=workers, progress=report
+            out,
+            data=data,
+            groups=groups,
+            operators=operators,
+            workers=workers,
+            shard=shard,
+            progress=report,
         )
     hand_over(out, verdict_result(rows, out, command_line()))
 
@@ -390,7 +413,9 @@ def command_line() -> str:
         ):
             continue
         value = context.params[name]
-        if isinstance(value, bool):
+        if name == "shard":
+            words += [option.opts[0], "{}/{}".format(*value)]
+        elif isinstance(value, bool):
             words.append(option.opts[0] if value else option.secondary_opts[0])
         elif name == "matchers":
             chosen = [f"{k}={v}" for k, v in value.items()] if isinstance(value, dict) else [value]

@@ -20,6 +20,7 @@ import torch
 
 from .._utils.parallel import process_pool
 from .._utils.progress import Progress
+from .._utils.sharding import Shard, part_of
 from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets.oxford import oxford
@@ -58,6 +59,7 @@ def bench_oxford(
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
     seeds: int = 5,
     workers: int | None = None,
+    shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
     """Run what is missing of the benchmark and return all of its rows.
@@ -69,6 +71,7 @@ def bench_oxford(
         operators: at least one; each runs alone, and all together as ``multi``.
         seeds: each estimate is made with seeds 0 ... seeds - 1.
         workers: processes; None for one per core.
+        shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
 
     Returns:
         Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
@@ -85,10 +88,11 @@ def bench_oxford(
     operators = choose_operators(operators)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
-    pairs = list(oxford(data, sequences))
+    pairs = part_of(list(oxford(data, sequences)), shard)
     store = RowStore(
         Path(out) / "rows.jsonl",
         {"version": __version__, "operators": list(operators), "seeds": seeds},
+        shard,
     )
     rows = store.read()
     have = {(row["sequence"], row["pair"]) for row in rows}

@@ -18,6 +18,7 @@ import numpy as np
 
 from .._utils.notices import collected
 from .._utils.progress import Progress
+from .._utils.sharding import Shard, part_of
 from .._utils.writing import check_folder
 from .._version import __version__
 from ..datasets import Pair, find_source
@@ -66,6 +67,7 @@ def bench_pairs(
     preset: str = "default",
     seeds: int = 1,
     max_size: int | None = None,
+    shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
     """Run what is missing of the benchmark and return all of its rows.
@@ -80,6 +82,7 @@ def bench_pairs(
         preset: A name of :data:`sfmkit.options.PRESETS`.
         seeds: Each estimate is made with seeds 0 ... seeds - 1.
         max_size: Longest side in pixels at which features are searched; None for full size.
+        shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
         progress: Called with (stage, detail) and the fraction that is done.
 
     Returns:
@@ -99,7 +102,7 @@ def bench_pairs(
     matchers = canonical_matchers(matchers)
     options = adjust_preset(preset, backend=backend, max_size=max_size)
     options = choose_options(options, operators, matchers=matchers)
-    pairs = find_pairs(data, root)
+    pairs = part_of(find_pairs(data, root), shard)
     settings = {
         "version": __version__,
         "preset": preset,
@@ -109,7 +112,7 @@ def bench_pairs(
         "seeds": seeds,
         "max_size": max_size,
     }
-    store = RowStore(Path(out) / "rows.jsonl", settings)
+    store = RowStore(Path(out) / "rows.jsonl", settings, shard)
     stored: dict[str, list[Row]] = {}
     for row in store.read():
         stored.setdefault(row["digest"], []).append(row)

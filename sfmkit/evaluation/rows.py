@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .._utils.sharding import Shard
+from ..datasets.pair import natural_order
 from ..errors import InputError
 
 Row = dict[str, Any]
@@ -22,40 +24,57 @@ def finite(value: float | None) -> float | None:
 class RowStore:
     """Rows on disk, one JSON object per line; the first line holds the settings of the run.
 
+    A shard writes to a file of its own beside `path`, so several shards can run in one folder.
+
     Attributes:
-        path: The file.
+        path: The file of a run without shards, such as ``rows.jsonl``.
         settings: What the rows depend on, JSON values.
+        shard: (i, n) for the file ``rows.i-of-n.jsonl``.
     """
 
     path: Path
     settings: dict[str, Any]
+    shard: Shard | None = None
+
+    @property
+    def own(self) -> Path:
+        """The file that this run writes."""
+        if self.shard is None:
+            return self.path
+        number, of = self.shard
+        return self.path.with_suffix(f".{number}-of-{of}{self.path.suffix}")
 
     def read(self) -> list[Row]:
-        """Return the rows so far; start the file where there is none.
+        """Return the rows of this run and of all shards so far; start the file if there is none.
 
-        An incomplete last line, from an interrupted run, is removed.
+        An incomplete last line, from an interrupted run, is removed from the own file and ignored
+        in the others, whose runs may still write.
 
         Raises:
-            InputError: The file was made with other settings or is damaged.
+            InputError: A file was made with other settings or is damaged.
         """
-        if not self.path.exists():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.write_text(json.dumps({"settings": self.settings}) + "\n", encoding="utf-8")
-            return []
-        settings, rows = read_rows(self.path)
-        if settings != self.settings:
-            raise InputError(
-                f"{self.path} was made with {settings}, not {self.settings}; choose another --out, "
-                "or remove the file to start again"
-            )
-        data = self.path.read_bytes()
-        if not data.endswith(b"\n"):
-            self.path.write_bytes(data[: data.rfind(b"\n") + 1])
+        if not self.own.exists():
+            self.own.parent.mkdir(parents=True, exist_ok=True)
+            self.own.write_text(json.dumps({"settings": self.settings}) + "\n", encoding="utf-8")
+        data = self.own.read_bytes()
+        if not data.endswith(b"\n") and b"\n" in data:
+            self.own.write_bytes(data[: data.rfind(b"\n") + 1])
+        shards = self.path.parent.glob(f"{self.path.stem}.*-of-*{self.path.suffix}")
+        files = {self.path, self.own, *shards}
+        rows: list[Row] = []
+        for file in sorted(filter(Path.exists, files), key=lambda file: natural_order(file.name)):
+            settings, found = read_rows(file)
+            if settings != self.settings:
+                raise InputError(
+                    f"{file} was made with {settings}, not {self.settings}; choose another --out, "
+                    "or remove the file to start again"
+                )
+            rows += found
         return rows
 
     def append(self, rows: list[Row]) -> None:
         """Append all rows of a part in one write, so that a crash leaves complete parts only."""
-        with self.path.open("a", encoding="utf-8") as file:
+        with self.own.open("a", encoding="utf-8") as file:
             file.write("".join(json.dumps(row) + "\n" for row in rows))
 
 

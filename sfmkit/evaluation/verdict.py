@@ -19,6 +19,7 @@ import torch
 from .._utils.notices import collected
 from .._utils.parallel import process_pool
 from .._utils.progress import Progress
+from .._utils.sharding import Shard, part_of
 from .._utils.writing import check_folder
 from .._version import __version__
 from ..errors import InputError
@@ -48,6 +49,7 @@ def bench_verdict(
     groups: Sequence[str] | None = None,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
     workers: int | None = None,
+    shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
     """Run what is missing of the benchmark and return all of its rows.
@@ -58,6 +60,7 @@ def bench_verdict(
         groups: Only groups of pairs whose names begin with one of these; None for all.
         operators: The operators; all estimators get their fused matches.
         workers: Processes; None for one per core.
+        shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
         progress: Called with (stage, detail) and the fraction that is done.
 
     Returns:
@@ -72,7 +75,7 @@ def bench_verdict(
     check_folder(out)
     operators = choose_operators(operators)
     settings = {"version": __version__, "operators": list(operators)}
-    store = RowStore(Path(out) / "rows.jsonl", settings)
+    store = RowStore(Path(out) / "rows.jsonl", settings, shard)
     rows = store.read()
     if progress is not None:
         progress("verdict", "photographs", fraction=0.0)
@@ -81,6 +84,7 @@ def bench_verdict(
         pairs = [pair for pair in pairs if pair.group.startswith(tuple(groups))]
     if not pairs:
         raise InputError(f"no group of pairs begins with {', '.join(groups or ())}")
+    pairs = list(part_of(pairs, shard))
     have = {row["pair"] for row in rows}
     missing = [pair for pair in pairs if pair.name not in have]
     for done, new in _evaluated(missing, operators, workers or os.cpu_count() or 1):

@@ -269,8 +269,7 @@ def match_folder(
     )
     collection = read_collection(folder, masks=masks, say=workshop.say())
     plan = plan_folder(collection, recipe, workshop, intrinsics=intrinsics, pairs=pairs)
-    if shard is not None:
-        plan = plan.part(*shard)
+    plan = plan.part(shard)
     if check is not None:
         check(plan)
     tasks = (plan.task(row) for row in range(len(plan)))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .._utils.sharding import Shard, part_bounds
 from ..ablation.plan import cost
 from ..ablation.plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin
 from ..ablation.tasks import DetectTask, ImageRef, MatchTask, PairTask
@@ -153,16 +154,9 @@ class FolderPlan:
             total += by_sizes[sizes]
         return total
 
-    def part(self, number: int, of: int) -> FolderPlan:
-        """The pairs of shard `number`, 1 to `of`: consecutive rows, in sizes that differ by one.
-
-        Raises:
-            InputError: There are fewer pairs than shards.
-        """
-        if of > len(self):
-            raise InputError(f"{len(self)} pairs cannot be split into {of} shards")
-        rows = np.array_split(self.pairs, of)[number - 1]
-        return replace(self, pairs=rows)
+    def part(self, shard: Shard | None) -> FolderPlan:
+        """The pairs of a shard, see :func:`sfmkit._utils.sharding.part_bounds`."""
+        return replace(self, pairs=self.pairs[part_bounds(len(self), shard)])
 
 
 def make_recipe(

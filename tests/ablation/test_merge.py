@@ -12,7 +12,6 @@ from small_sweep import InlineEngine, pairs
 
 from sfmkit.ablation import ablate, merge, read_sweep, read_table, run, worker
 from sfmkit.ablation.merge import merge_shards
-from sfmkit.ablation.plan import part_of
 from sfmkit.cli import main
 from sfmkit.errors import InputError
 
@@ -118,14 +117,3 @@ def test_missing_doubled_and_unfinished_shards_are_refused(shards, tmp_path):
     assert done.exit_code == 2
     assert "completes an interrupted sweep" in done.output
     assert not (tmp_path / "o").exists()
-
-
-def test_parts_are_consecutive_and_cover_everything():
-    numbers = list(range(10))
-    parts = [part_of(numbers, (k, 4)) for k in (1, 2, 3, 4)]
-    assert [n for part in parts for n in part] == numbers
-    assert {len(part) for part in parts} == {2, 3}
-    with pytest.raises(InputError, match="10 pairs cannot be split into 11 shards"):
-        part_of(numbers, (1, 11))
-    with pytest.raises(InputError, match="1 <= i <= n"):
-        part_of(numbers, (0, 2))

@@ -149,7 +149,7 @@ def test_tables_and_figures(run):
     )
     assert [r[0] for r in by_paper.rows] == ["orb", "fast-brief", "multi"]
     assert [r[0] for r in ours.rows] == ["orb", "fast-brief", "multi", "multi, unmerged"]
-    shares = [r[heads.index("of all, %")] for r in by_paper.rows]
+    shares = [r[heads.index("initial of all, %")] for r in by_paper.rows]
     assert sum(shares[:2]) == pytest.approx(100)
 
 

@@ -124,6 +124,23 @@ def test_a_run_is_resumed_and_changed_pairs_run_again(listed, tmp_path, monkeypa
         bench_pairs([listed], out, operators=("orb",), seeds=2)
 
 
+def test_shards_in_one_folder_are_collected_by_the_command_without_them(
+    listed, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    for number in (3, 1, 2, 4):
+        bench_pairs([listed], out, operators=("orb",), shard=(number, 4))
+    searched = []
+    monkeypatch.setattr(module, "detect_all", lambda *args, **keywords: searched.append(args))
+    collected = bench_pairs([listed], out, operators=("orb",))
+    assert not searched
+    monkeypatch.undo()
+    whole = bench_pairs([listed], tmp_path / "whole", operators=("orb",))
+    assert [{**row, "seconds": 0} for row in collected] == [{**row, "seconds": 0} for row in whole]
+    with pytest.raises(InputError, match="4 pairs cannot be split into 5 shards"):
+        bench_pairs([listed], out, operators=("orb",), shard=(1, 5))
+
+
 def test_the_command_writes_tables_that_a_report_takes(listed, tmp_path):
     out = tmp_path / "out"
     command = ["pairs", "--data", str(listed), "--operators", "orb,fast-brief"]

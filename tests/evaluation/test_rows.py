@@ -50,3 +50,20 @@ def test_damaged_bytes_are_rows_or_an_input_error(tmp_path):
         except InputError:
             continue
         assert all(isinstance(row, dict) for row in rows)
+
+
+def test_the_rows_of_shards_are_read_in_order_and_each_writes_its_own_file(tmp_path):
+    settings = {"seeds": 2}
+    for number in (10, 2, 1):
+        store = RowStore(tmp_path / "rows.jsonl", settings, (number, 10))
+        store.read()
+        store.append([{"pair": f"1-{number}"}])
+    with (tmp_path / "rows.2-of-10.jsonl").open("ab") as file:
+        file.write(b'{"pair": "1-')  # a shard that is writing
+    whole = RowStore(tmp_path / "rows.jsonl", settings)
+    assert whole.read() == [{"pair": "1-1"}, {"pair": "1-2"}, {"pair": "1-10"}]
+    assert (tmp_path / "rows.2-of-10.jsonl").read_bytes().endswith(b"1-")
+    assert len(RowStore(tmp_path / "rows.jsonl", settings, (2, 10)).read()) == 3
+    assert (tmp_path / "rows.2-of-10.jsonl").read_bytes().endswith(b"\n")
+    with pytest.raises(InputError, match="made with"):
+        RowStore(tmp_path / "rows.jsonl", {"seeds": 3}, (3, 10)).read()

@@ -118,7 +118,7 @@ def test_shards_together_are_the_whole(folder, cache, matched):
     ]
     assert pa.concat_tables([p.table for p in parts]) == matched.table
     with pytest.raises(InputError, match="3 pairs cannot be split into 4 shards"):
-        matched.plan.part(1, 4)
+        matched.plan.part((1, 4))
 
 
 def test_masked_keypoints_are_not_matched(folder, cache, tmp_path):
