@@ -81,6 +81,7 @@ def cases() -> dict[str, Case]:
     n1, n2 = sg.normalize(x1, K1), sg.normalize(x2, K2)
     E, F = sg.essential_from_pose(R, t), sg.fundamental_from_pose(R, t, K1, K2)
     H = sg.homography_from_pose(R, t, n, d, K1, K2)
+    M = sg.fundamental_8point(n1 * 1.2, n2 * 1.2)  # coordinates of a focal length that is wrong
     square = torch.tensor([0.1, 0.7, 0.95, 1.5], dtype=D)
     poly, P = torch.tensor([-0.2, 0.05, 1e-3, -2e-3], dtype=D), normal(2, 3, 4)
     camera = Camera(K1.numpy() * [[1, 0, 1], [0, 1, 1], [1, 1, 1]], (640, 480), poly.numpy())
@@ -90,6 +91,10 @@ def cases() -> dict[str, Case]:
 
     def refined(w: Tensor, t: Tensor, x1: Tensor, x2: Tensor, k1: Tensor, k2: Tensor) -> Any:
         return sg.refine_essential(rot(w), t, x1, x2, mat(k1), mat(k2)).pose
+
+    def with_focal(w: Tensor, t: Tensor, x1: Tensor, x2: Tensor, k1: Tensor, k2: Tensor) -> Any:
+        found = sg.refine_focal(rot(w), t, x1, x2, mat(k1), mat(k2))
+        return found.R, found.t, found.scale
 
     def bundle(x1: Tensor, x2: Tensor, k1: Tensor, k2: Tensor, w: Tensor, t: Tensor) -> Any:
         return sg.bundle_adjust(x1, x2, mat(k1), mat(k2), rot(w), t, loss="cauchy")
@@ -199,6 +204,7 @@ def cases() -> dict[str, Case]:
         "marginal_score": Case(lambda s: sg.marginal_score(s, 1.1), (square,)),
         "marginal_weight": Case(lambda s: sg.marginal_weight(s, 1.1), (square,)),
         "normalize": Case(lambda x, k: sg.normalize(x, mat(k)), (x1, k1)),
+        "one_focal": Case(lambda M: sg.one_focal(M)[0], (M,)),
         "parallax": Case(lambda a, b, w: sg.parallax(a, b, rot(w)), (n1, n2, w)),
         "pinhole_from_camera": Case(
             lambda w, t: sg.pinhole_from_camera(plain, rot(w), t).extrinsics, (w, t)
@@ -221,6 +227,7 @@ def cases() -> dict[str, Case]:
         ),
         "project_to_essential": Case(sg.project_to_essential, (E + 0.1 * normal(3, 3),)),
         "refine_essential": Case(refined, (w, t, x1, x2, k1, k2)),
+        "refine_focal": Case(with_focal, (w, t, x1, x2, k1, k2)),
         "refine_homography": Case(
             lambda H, a, b: sg.transfer(sg.refine_homography(H, a, b), a), (H, y1, y2)
         ),
@@ -232,6 +239,7 @@ def cases() -> dict[str, Case]:
         "rotation_error": Case(lambda a, b: sg.rotation_error(rot(a), rot(b)), (w, -2 * w)),
         "se3_from_pose": Case(lambda w, t: sg.se3_from_pose(rot(w), t).matrix(), (w, t)),
         "sigma_degrees": Case(sg.sigma_degrees, (covered @ covered.T,)),
+        "shared_focal": Case(lambda M: sg.shared_focal(M)[0], (M,)),
         "signed_sampson_distance": Case(sg.signed_sampson_distance, (F, x1, x2)),
         "so3_exp": Case(sg.so3_exp, (w,)),
         "so3_log": Case(sg.so3_log, (R,)),
@@ -253,6 +261,7 @@ def cases() -> dict[str, Case]:
         "triangulate_dlt": Case(of_pose(sg.triangulate_dlt), two),
         "triangulate_midpoint": Case(of_pose(sg.triangulate_midpoint), two),
         "triangulate_optimal": Case(of_pose(sg.triangulate_optimal), two),
+        "two_focals": Case(lambda M: sg.two_focals(M)[:2], (M,)),
         "undistort": Case(sg.undistort, (n1, poly)),
         "undistort_pixels": Case(lambda x: sg.undistort_pixels(x, camera), (x1,)),
     }
@@ -441,9 +450,9 @@ Entries: *yes*; *raises*: torch or sfmkit raises an error; *wrong*: the results 
 derivative*: the output does not depend on the input in a differentiable way; *–*: the function has
 no floating-point output; *float64*: the output is always double precision.
 
-The minima (`refine_essential`, `refine_homography`, `bundle_adjust`) are differentiated by the
-implicit function theorem: the derivative with respect to the start is zero, and the derivative is
-that of the exact minimum, not of the iterations.
+The minima (`refine_essential`, `refine_focal`, `refine_homography`, `bundle_adjust`) are
+differentiated by the implicit function theorem: the derivative with respect to the start is zero,
+and the derivative is that of the exact minimum, not of the iterations.
 
 """
 

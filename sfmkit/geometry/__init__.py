@@ -32,6 +32,8 @@ from .essential import (
     essential_from_pose,
     project_to_essential,
 )
+from .focal import one_focal, shared_focal, two_focals
+from .focal_refinement import FocalRefinement, refine_focal
 from .fundamental import (
     epipolar_lines,
     epipoles,
@@ -85,6 +87,7 @@ from .uncertainty import Uncertainty, covariance, sigma_degrees
 
 __all__ = [
     "EssentialRefinement",
+    "FocalRefinement",
     "Influence",
     "LossTerms",
     "Sensitivity",
@@ -131,6 +134,7 @@ __all__ = [
     "marginal_score",
     "marginal_weight",
     "normalize",
+    "one_focal",
     "parallax",
     "pinhole_from_camera",
     "point_covariances",
@@ -141,12 +145,14 @@ __all__ = [
     "project",
     "project_to_essential",
     "refine_essential",
+    "refine_focal",
     "refine_homography",
     "relative_pose",
     "reprojection_error",
     "reprojection_residuals",
     "rotation_error",
     "se3_from_pose",
+    "shared_focal",
     "sigma_degrees",
     "signed_sampson_distance",
     "so3_exp",
@@ -165,6 +171,7 @@ __all__ = [
     "triangulate_dlt",
     "triangulate_midpoint",
     "triangulate_optimal",
+    "two_focals",
     "undistort",
     "undistort_pixels",
 ]

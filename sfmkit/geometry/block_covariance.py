@@ -31,6 +31,7 @@ from .checks import (
     check_values,
 )
 from .coordinates import inverse_intrinsics, normalize, to_homogeneous
+from .focal_refinement import FreeFocal, focal_unknowns
 from .lie import hat, so3_exp, sphere_exp, tangent_basis
 from .loss_kernels import Loss, loss_terms
 from .pose import check_pose
@@ -45,11 +46,14 @@ class Sensitivity:
     """A robust Sampson cost linearised at its minimum.
 
     Attributes:
-        score: ``(N, 5)`` gradient of the cost of each match with respect to the pose ``(omega, b)``
-            (see :class:`~sfmkit.geometry.uncertainty.Uncertainty`), square pixels.
-        hessian: ``(N, 5, 5)`` second derivative of the cost of each match.
-        by_intrinsics: ``(5, 8)`` derivative of the minimum with respect to the intrinsics of camera
-            1 and then of camera 2, each in the order of :data:`INTRINSICS`.
+        score: ``(N, P)`` gradient of the cost of each match, square pixels. P = 5 for the pose
+            ``(omega, b)`` (see :class:`~sfmkit.geometry.uncertainty.Uncertainty`); P = 7 or 9 with
+            the logarithms of estimated focal lengths and k1 of their cameras.
+        hessian: ``(N, P, P)`` second derivative of the cost of each match; where cameras are
+            estimated, with the mean second derivative of the loss.
+        by_intrinsics: ``(P, 8)`` derivative of the minimum with respect to the intrinsics of camera
+            1 and then of camera 2, each in the order of :data:`INTRINSICS`; zero for those that are
+            estimated.
     """
 
     score: Tensor
@@ -67,21 +71,26 @@ def linearise_pose(
     *,
     loss: Loss = "cauchy",
     loss_scale: float = 0.5,
+    focal: FreeFocal | None = None,
 ) -> Sensitivity:
-    """Linearise the robust Sampson cost of a pose at its minimum.
+    """Linearise the robust Sampson cost of a pose, and of cameras, at its minimum.
 
     Args:
         R, t: ``(3, 3)`` and ``(3,)`` pose, ``X2 = R X1 + t``.
         x1, x2: ``(N, 2)`` undistorted pixels of the inliers.
         K1, K2: ``(3, 3)`` intrinsics.
         loss, loss_scale: Loss that was minimised and its scale in pixels.
+        focal: Cameras whose focal length and k1 are estimated with the pose, see
+            :func:`~sfmkit.geometry.focal_refinement.refine_focal`; None for none.
 
     Raises:
         InputError: Shapes or types are wrong, there is a batch, a value is not finite, t is zero,
-            the loss is unknown, or the scale is outside 1e-100 to 1e100.
-        DegenerateGeometryError: There are fewer than 5 matches, or they do not determine the pose.
+            the loss or `focal` is unknown, or the scale is outside 1e-100 to 1e100.
+        DegenerateGeometryError: There are fewer matches than unknowns, or they do not determine
+            the unknowns.
     """
-    _check_two_views(R, t, x1, x2, K1, K2, minimum=5)
+    free = None if focal is None else focal_unknowns(focal, x1)
+    _check_two_views(R, t, x1, x2, K1, K2, minimum=5 + (0 if free is None else 2 * free.shape[1]))
     t = t / t.norm()
     P1, P2 = inverse_intrinsics(K1), inverse_intrinsics(K2)
     E = hat(t) @ R
@@ -99,11 +108,19 @@ def linearise_pose(
     )
     by_K1, by_K2 = (by_F @ torch.stack([d.flatten() for d in ds], 1) for ds in (first, second))
     J_camera = torch.cat((by_K1, k1, by_K2, k2), 1)
+    if free is not None:
+        J = torch.cat((J, J_camera[:, [0, 4]] @ free, J_camera[:, [3, 7]] @ free), 1)
+        J_camera[:, [0, 4]] *= (free == 0).all(1)
+        J_camera[:, [3, 7]] *= (free == 0).all(1)
 
     terms = loss_terms(loss, r.square(), loss_scale)
     # Half the loss has the gradient slope r J and the second derivative
     # (slope + 2 curvature r^2) J J^T.
     curvature = terms.slope + 2 * terms.curvature * r.square()
+    if free is not None:
+        # A focal length is often close to undetermined. There the curvature of single matches,
+        # which a redescending loss makes negative, leaves no minimum; its mean keeps the scale.
+        curvature = terms.slope * (curvature.sum() / terms.slope.sum())
     outer = J[:, :, None] * J[:, None, :]
     hessian = curvature[:, None, None] * outer
     H = hessian.sum(0)
@@ -113,7 +130,7 @@ def linearise_pose(
 
 
 def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
-    """Estimate the ``(5, 5)`` covariance of a pose with the delete-one-block jackknife.
+    """Estimate the ``(P, P)`` covariance of a minimum with the delete-one-block jackknife.
 
     Args:
         sensitivity: Linearised cost, from :func:`linearise_pose`.
@@ -133,11 +150,11 @@ def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
     _check_shape("block", block, tuple(sensitivity.score.shape[:1]))
     _, group = torch.unique(block, return_inverse=True)
     count = int(group.max()) + 1 if len(group) else 0
-    kind = sensitivity.score
+    kind, size = sensitivity.score, sensitivity.score.shape[1]
     if count < 2:
-        return torch.full((5, 5), torch.inf, dtype=kind.dtype, device=kind.device)
-    score = kind.new_zeros(count, 5).index_add(0, group, sensitivity.score)
-    hessian = kind.new_zeros(count, 5, 5).index_add(0, group, sensitivity.hessian)
+        return torch.full((size, size), torch.inf, dtype=kind.dtype, device=kind.device)
+    score = kind.new_zeros(count, size).index_add(0, group, sensitivity.score)
+    hessian = kind.new_zeros(count, size, size).index_add(0, group, sensitivity.hessian)
     rest, failed = torch.linalg.cholesky_ex(hessian.sum(0) - hessian)
     without = score.sum(0) - score
     moved = -torch.cholesky_solve(without[..., None], rest)[..., 0]
@@ -148,7 +165,7 @@ def jackknife_covariance(sensitivity: Sensitivity, block: Tensor) -> Tensor:
 def camera_covariance(
     sensitivity: Sensitivity, sigma1: Tensor, sigma2: Tensor, shared: bool
 ) -> Tensor:
-    """Propagate the standard deviations of the intrinsics to a pose, ``(5, 5)``.
+    """Propagate the standard deviations of the intrinsics to the minimum, ``(P, P)``.
 
     Args:
         sensitivity: Linearised cost, from :func:`linearise_pose`.
@@ -330,11 +347,12 @@ def _check_sensitivity(sensitivity: Sensitivity) -> None:
         hessian=sensitivity.hessian,
         by_intrinsics=sensitivity.by_intrinsics,
     )
-    n = len(sensitivity.score) if sensitivity.score.ndim else 0
+    n, size = sensitivity.score.shape if sensitivity.score.ndim == 2 else (0, 5)
+    size = min(max(size, 5), 9)
     for name, a, shape in (
-        ("score", sensitivity.score, (n, 5)),
-        ("hessian", sensitivity.hessian, (n, 5, 5)),
-        ("by_intrinsics", sensitivity.by_intrinsics, (5, 8)),
+        ("score", sensitivity.score, (n, size)),
+        ("hessian", sensitivity.hessian, (n, size, size)),
+        ("by_intrinsics", sensitivity.by_intrinsics, (size, 8)),
     ):
         _check_shape(name, a, shape)
     check_values(by_intrinsics=sensitivity.by_intrinsics)

@@ -396,6 +396,10 @@ CHECKS: dict[str, Callable[[], None]] = {
     "decompose_homography": missing("decompose", "homography"),
     "refine_homography": missing("refine", "homography"),
     "refine_essential": missing("refine", "essential"),
+    "refine_focal": missing("refine", "focal"),
+    "shared_focal": missing("shared", "focal"),
+    "one_focal": missing("one", "focal"),
+    "two_focals": missing("focal", "fundamental"),
     "bundle_adjust": missing("bundle"),
     "covariance": missing("covariance"),
     "sigma_degrees": missing("sigma", "degree"),
@@ -442,7 +446,7 @@ def test_the_table_has_one_row_per_public_function():
 
 def test_every_public_function_of_the_modules_is_exported():
     """Except the checks and the unchecked kernels."""
-    kernels = {"bearings", "minimise"}  # of sfmkit.geometry.refinement
+    kernels = {"bearings", "minimise", "focal_unknowns"}  # of the refinements
     for module in pkgutil.iter_modules(G.__path__, "sfmkit.geometry."):
         name = module.name.rpartition(".")[2]
         if name in ("checks", "kernels") or name.startswith("_"):
