@@ -95,6 +95,8 @@ class EstimateOptions:
         confidence: Probability of having drawn at least one sample of inliers only.
         max_iterations: At most this many samples.
         refine: Nonlinear refinement of the pose, and then of pose and points, on the inliers.
+        overrides: The estimator's own options: keywords that are not part of the contract of
+            :class:`sfmkit.estimation.Estimator`.
     """
 
     model: ModelKind = "essential"
@@ -104,6 +106,7 @@ class EstimateOptions:
     confidence: float = 0.9999
     max_iterations: int = 10_000
     refine: bool = True
+    overrides: Mapping[str, Any] = field(default_factory=FrozenMapping)
 
     def __post_init__(self) -> None:
         if self.model not in ("essential", "fundamental"):
@@ -113,8 +116,10 @@ class EstimateOptions:
             raise InputError(f"confidence must lie between 0 and 1, not {self.confidence}")
 
     def with_backend(self, backend: str) -> EstimateOptions:
-        """The options with another estimator; a method belongs to its estimator and is reset."""
-        return self if backend == self.backend else replace(self, backend=backend, method=None)
+        """Return the options with another estimator; method and overrides are reset."""
+        if backend == self.backend:
+            return self
+        return replace(self, backend=backend, method=None, overrides=FrozenMapping())
 
 
 @dataclass(frozen=True)

@@ -235,16 +235,7 @@ def estimate_key(
     if homography:
         settings.append(as_plain(variant.planar))
     else:
-        e = o.estimate
-        settings += [
-            e.model,
-            e.backend,
-            e.method,
-            e.threshold_px,
-            e.confidence,
-            e.max_iterations,
-            e.refine,
-        ]
+        settings.append(as_plain(o.estimate))
         settings += [
             [np.asarray(c.K).tolist(), np.asarray(c.distortion).tolist(), c.model]
             for c in cameras or ()

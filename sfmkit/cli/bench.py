@@ -25,6 +25,19 @@ def bench() -> None:
     """Rerun the paper's experiments, or run operators on the pairs of any data set."""
 
 
+MATCHER = click.option(
+    "--matcher",
+    "matchers",
+    multiple=True,
+    callback=parse_matchers,
+    metavar="[OPERATOR=]NAME",
+    help="Matcher of all operators or of one, by name or import path. Repeatable.",
+)
+BACKEND = click.option(
+    "--backend",
+    metavar="NAME",
+    help="Robust estimator, by name or import path.  [default: the preset's]",
+)
 OPERATORS = click.option(
     "--operators",
     default="surf,orb,fast-brief",
@@ -79,6 +92,7 @@ def OUT(name: str) -> Callable:
     "--sequences", callback=names, metavar="A,B", help="Some of the eight sequences; default: all."
 )
 @OPERATORS
+@MATCHER
 @click.option("--seeds", type=click.IntRange(1, 10_000), default=5, show_default=True, metavar="N")
 @click.option(
     "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
@@ -89,6 +103,7 @@ def OUT(name: str) -> Callable:
 def oxford(
     sequences: tuple[str, ...] | None,
     operators: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
     seeds: int,
     workers: int | None,
     shard: Any,
@@ -105,6 +120,7 @@ def oxford(
             data=data,
             sequences=sequences,
             operators=operators,
+            matchers=matchers,
             seeds=seeds,
             workers=workers,
             shard=shard,
@@ -118,6 +134,8 @@ def oxford(
     "--pairs", callback=names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours."
 )
 @OPERATORS
+@MATCHER
+@BACKEND
 @PRESETS("paper,default,dense")
 @click.option("--seeds", type=click.IntRange(1, 10_000), default=3, show_default=True, metavar="N")
 @MAX_SIZE
@@ -133,6 +151,8 @@ def oxford(
 def fountain(
     pairs: tuple[str, ...] | None,
     operators: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
+    backend: str | None,
     presets: tuple[str, ...],
     seeds: int,
     max_size: int | None,
@@ -151,6 +171,8 @@ def fountain(
             data=data,
             pairs=pairs,
             operators=operators,
+            matchers=matchers,
+            backend=backend,
             presets=presets,
             seeds=seeds,
             max_size=max_size,
@@ -174,6 +196,8 @@ def fountain(
     help="The target, pixels of the first photograph; default: its middle third.",
 )
 @OPERATORS
+@MATCHER
+@BACKEND
 @PRESETS("default,dense")
 @MAX_SIZE
 @click.option(
@@ -197,6 +221,8 @@ def uav(
     step: int | None,
     box: str | None,
     operators: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
+    backend: str | None,
     presets: tuple[str, ...],
     max_size: int | None,
     colmap: bool,
@@ -217,6 +243,8 @@ def uav(
             step=step,
             box=box,
             operators=operators,
+            matchers=matchers,
+            backend=backend,
             presets=presets,
             max_size=max_size,
             colmap=colmap,
@@ -245,19 +273,8 @@ def uav(
     help="Folder of the data sets; for a list or a COLMAP model, of its images.",
 )
 @OPERATORS
-@click.option(
-    "--matcher",
-    "matchers",
-    multiple=True,
-    callback=parse_matchers,
-    metavar="[OPERATOR=]NAME",
-    help="Matcher of all operators or of one, by name or import path; may be repeated for several.",
-)
-@click.option(
-    "--backend",
-    metavar="NAME",
-    help="Robust estimator, by name or import path.  [default: the preset's]",
-)
+@MATCHER
+@BACKEND
 @click.option(
     "--preset",
     type=click.Choice(["default", "dense", "paper"]),
@@ -356,6 +373,8 @@ def verdict_of_pairs(
     metavar="A,B",
 )
 @OPERATORS
+@MATCHER
+@BACKEND
 @MAX_SIZE
 @click.option(
     "--budget",
@@ -374,6 +393,8 @@ def verdict_of_pairs(
 def map_of_many_views(
     scenes: tuple[str, ...],
     operators: tuple[str, ...],
+    matchers: str | dict[str, str] | None,
+    backend: str | None,
     max_size: int | None,
     budget: int,
     two_view_points: bool,
@@ -391,6 +412,8 @@ def map_of_many_views(
             data=data,
             scenes=scenes,
             operators=operators,
+            matchers=matchers,
+            backend=backend,
             max_size=max_size,
             budget=budget,
             two_view_points=two_view_points,

@@ -2,7 +2,13 @@
 they mean."""
 
 from .adjust import Adjustment, adjust
-from .plugins import ESTIMATOR_PLUGINS, Estimator, register_estimator, run_estimator
+from .plugins import (
+    ESTIMATOR_PLUGINS,
+    Estimator,
+    check_estimator,
+    register_estimator,
+    run_estimator,
+)
 from .result import RobustModel
 from .two_view import estimate_two_view, undistorted_pixels, within_the_field
 
@@ -12,6 +18,7 @@ __all__ = [
     "Estimator",
     "RobustModel",
     "adjust",
+    "check_estimator",
     "estimate_two_view",
     "register_estimator",
     "run_estimator",

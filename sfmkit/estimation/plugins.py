@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, Protocol, TypeVar
 
 import torch
@@ -13,6 +13,10 @@ from . import opencv, peers, robust
 from .result import RobustModel
 
 F = TypeVar("F", bound=Callable)
+_CONTRACT = frozenset(
+    ("x1", "x2", "K1", "K2", "model", "method", "threshold_px", "confidence", "max_iterations")
+    + ("seed", "ratio", "groups", "device")
+)
 Kind = Literal["essential", "fundamental", "homography"]
 
 
@@ -26,7 +30,8 @@ class Estimator(Protocol):
       without this parameter estimates essential matrices only;
     - ``method``: str or None, one of several methods, from ``EstimateOptions.method``;
     - ``device``: torch device on which to compute; the tensors are on the CPU, and the result
-      must be.
+      must be;
+    - options of its own, given in ``EstimateOptions.overrides``.
 
     The same input and seed must give the same output.
     """
@@ -88,6 +93,42 @@ def register_estimator(name: str, estimator: F) -> F:
     return estimator
 
 
+def check_estimator(
+    name: str,
+    *,
+    model: Kind = "essential",
+    method: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> None:
+    """Check that an estimator exists and takes these settings.
+
+    Args:
+        name: Name or import path of the estimator.
+        model: The model to estimate.
+        method: A method of the estimator, None for its best.
+        overrides: The estimator's own options.
+
+    Raises:
+        InputError: The estimator is unknown, does not estimate this model, has no methods, or has
+            no such option.
+    """
+    settings = {"model": model, "method": method, **(overrides or {})}
+    taken = accepted(ESTIMATOR_PLUGINS[name], settings, rest=True)
+    if "model" not in taken and model != "essential":
+        raise ESTIMATOR_PLUGINS.error(
+            f"estimator '{name}' has no parameter 'model': it estimates essential matrices only"
+        )
+    if "method" not in taken and method is not None:
+        raise ESTIMATOR_PLUGINS.error(f"estimator '{name}' has no methods to choose from")
+    for option in overrides or {}:
+        if option in _CONTRACT:
+            raise ESTIMATOR_PLUGINS.error(
+                f"'{option}' is a parameter of every estimator; it cannot be among the overrides"
+            )
+        if option not in taken:
+            raise ESTIMATOR_PLUGINS.error(f"estimator '{name}' has no option '{option}'")
+
+
 def run_estimator(
     name: str,
     x1: Tensor,
@@ -104,17 +145,20 @@ def run_estimator(
     ratio: Tensor | None = None,
     groups: Tensor | None = None,
     device: Any = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> RobustModel:
-    """Run an estimator and check that its result obeys the contract.
+    """Run an estimator and check that its result fulfils the contract.
 
     Args:
-        name: Of an estimator; the other arguments are those of :class:`Estimator`.
+        name: Name or import path of the estimator.
+        overrides: The estimator's own options. The other arguments are those of
+            :class:`Estimator`.
 
     Raises:
-        InputError: there is no such estimator, it does not estimate this model or have this
-            method, it failed, or its result is wrong.
+        InputError: The estimator is unknown or does not take these settings (see
+            :func:`check_estimator`), it failed, or its result is invalid.
     """
-    estimator = ESTIMATOR_PLUGINS[name]
+    check_estimator(name, model=model, method=method, overrides=overrides)
     keywords = {
         "model": model,
         "method": method,
@@ -126,13 +170,7 @@ def run_estimator(
         "groups": groups,
         "device": device,
     }
-    taken = accepted(estimator, keywords, rest=True)
-    if "model" not in taken and model != "essential":
-        raise ESTIMATOR_PLUGINS.error(
-            f"estimator '{name}' has no parameter 'model': it estimates essential matrices only"
-        )
-    if "method" not in taken and method is not None:
-        raise ESTIMATOR_PLUGINS.error(f"estimator '{name}' has no methods to choose from")
+    taken = accepted(ESTIMATOR_PLUGINS[name], keywords, rest=True) | dict(overrides or {})
     found = ESTIMATOR_PLUGINS.call(name, x1, x2, K1, K2, **taken)
     reason = _fault(found, len(x1))
     if reason:

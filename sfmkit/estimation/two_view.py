@@ -361,6 +361,7 @@ def robust_fit(
         ratio=corr.ratio,
         groups=corr.operator_id,
         device=device,
+        overrides=options.overrides,
     )
     if options.model == "fundamental":
         return refit_8point(fit, x1, x2, options.threshold_px)

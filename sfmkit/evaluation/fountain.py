@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -32,13 +33,14 @@ from ..errors import InputError
 from ..features import choose_operators
 from ..geometry.fundamental import fundamental_from_pose, signed_sampson_distance
 from ..io.images import Image, read_image
-from ..matching.fusion import fuse
+from ..matching import canonical_matchers, fuse
 from ..options import PRESETS, Options, adjust_preset
 from ..pipeline.account import ALL, make_account
 from ..pipeline.stages import (
     OPERATORS_OF_THE_PAPER,
     FeaturePairs,
     Stopwatch,
+    choose_options,
     detect_all,
     estimate_geometry,
     make_cloud,
@@ -47,6 +49,7 @@ from ..pipeline.stages import (
 )
 from ..types import Camera, Correspondences, Matches, PointCloud, TwoView
 from .rows import Row, RowStore, finite
+from .settings import plugin_settings
 
 SEQUENCE = "fountain-P11"
 RIGHT_PX = (
@@ -63,6 +66,8 @@ def bench_fountain(
     data: str | os.PathLike | None = None,
     pairs: Iterable[str] | None = None,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
     presets: Sequence[str] = tuple(PRESETS),
     seeds: int = 3,
     max_size: int | None = None,
@@ -73,14 +78,19 @@ def bench_fountain(
     """Run what is missing of the benchmark and return all of its rows.
 
     Args:
-        out: folder for ``rows.jsonl`` and the pictures of the first pair's clouds.
-        data: where the data set lies, see :func:`sfmkit.datasets.strecha.strecha`.
-        pairs: names such as ``0000-0001``; None for all neighbours.
-        operators: at least one; each runs alone, and all together as ``multi``.
-        presets: names of :data:`sfmkit.options.PRESETS`.
-        seeds: each estimate is made with seeds 0 ... seeds - 1.
-        max_size: longest side in pixels at which features are searched; None for full size.
-        scenes, scene_size: the rendered scenes, and how large they are rendered.
+        out: Folder for ``rows.jsonl`` and the pictures of the first pair's clouds.
+        data: Folder of the data sets, see :func:`sfmkit.datasets.strecha.strecha`.
+        pairs: Names such as ``0000-0001``; None for all pairs of neighbours.
+        operators: At least one; each runs alone, and all together as ``multi``.
+        matchers: Matcher of all operators, or a mapping operator -> matcher; None for those of
+            the presets.
+        backend: Robust estimator; None for those of the presets.
+        presets: Names of :data:`sfmkit.options.PRESETS`.
+        seeds: Every estimate is repeated with seeds 0 ... seeds - 1.
+        max_size: Longest side, pixels, at which the photographs are searched; None for full size.
+        scenes: Names of rendered scenes.
+        scene_size: Width and height of the rendered scenes, pixels.
+        progress: Called with (stage, detail) and the fraction of the work that is done.
 
     Returns:
         Rows of two kinds: ``cloud`` (pair, preset, operator or ``multi``, merged, seed ->
@@ -89,24 +99,32 @@ def bench_fountain(
         the depth), close).
 
     Raises:
-        InputError: missing data, unknown pairs, operators or presets, no seeds, rows made with
-            other settings.
+        InputError: The data are missing, a pair, operator, matcher, estimator or preset is
+            unknown, the estimator cannot estimate the model of a preset, `seeds` is less than 1,
+            or the rows in `out` come from other settings.
     """
     check_folder(out)
     operators = choose_operators(operators)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
-    for name in presets:
-        if name not in PRESETS:
-            raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
+    matchers = canonical_matchers(matchers)
+    recipes = {
+        name: choose_options(adjust_preset(name, backend=backend), operators, matchers=matchers)
+        for name in presets
+    }
+    if not recipes:
+        raise InputError(f"name at least one preset: {', '.join(PRESETS)}")
     chosen = choose_pairs(list(strecha(data, [SEQUENCE])), pairs)
     settings = {
         "version": __version__,
-        "operators": list(operators),
+        **plugin_settings(
+            operators, next(iter(recipes.values())), matchers=matchers, backend=backend
+        ),
         "seeds": seeds,
         "max_size": max_size,
+        "scene_size": list(scene_size),
     }
-    store = RowStore(Path(out) / "rows.jsonl", settings | {"scene_size": list(scene_size)})
+    store = RowStore(Path(out) / "rows.jsonl", settings)
     rows = store.read()
     have = {(r["kind"], r.get("pair", r.get("scene")), r["preset"]) for r in rows}
     parts: list[tuple[str, Pair | str, str]] = [
@@ -120,11 +138,12 @@ def bench_fountain(
             progress("fountain", f"{label}, {preset}", fraction=done / len(parts))
         if (kind, label, preset) in have and (picture is None or picture.exists()):
             continue
-        options = adjust_preset(preset, max_size=max_size)
+        options = recipes[preset]
         if isinstance(what, Pair):
-            new = _pair_rows(what, operators, options, seeds, picture)
+            reduced = replace(options, detect=replace(options.detect, max_size=max_size))
+            new = _pair_rows(what, operators, reduced, seeds, picture)
         else:
-            new = _scene_rows(what, operators, PRESETS[preset], seeds, scene_size)
+            new = _scene_rows(what, operators, options, seeds, scene_size)
         if (kind, label, preset) not in have:
             store.append(new)
             rows += new

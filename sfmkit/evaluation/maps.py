@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,6 +24,7 @@ from ..ablation.run import SweepState
 from ..datasets.middlebury import temple_ring
 from ..datasets.pair import data_root, image_files
 from ..errors import DegenerateGeometryError, InputError
+from ..features import choose_operators
 from ..geometry.pose import rotation_error
 from ..geometry.similarity import fit_similarity
 from ..io.colmap.cameras import ColmapCamera
@@ -34,8 +35,11 @@ from ..mapping.database import colmap_camera, is_calibrated
 from ..mapping.map_outputs import map_matched
 from ..mapping.mapper import MapOptions, poses_of, run_mapper
 from ..mapping.shared_cameras import choose_shared_cameras
-from ..options import DEFAULT
+from ..matching import canonical_matchers, matcher_of
+from ..options import Options, adjust_preset
+from ..pipeline.stages import choose_options
 from .rows import Row, RowStore
+from .settings import plugin_settings
 
 __all__ = ["COLMAP", "FUSED", "SCENES", "MapScene", "bench_map", "pose_errors_of"]
 
@@ -101,6 +105,8 @@ def bench_map(
     data: str | os.PathLike | None = None,
     scenes: Sequence[str] = ("fountain",),
     operators: Sequence[str] = ("surf", "orb", "fast-brief"),
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
     max_size: int | None = None,
     budget: int = 8_192,
     two_view_points: bool = False,
@@ -116,6 +122,8 @@ def bench_map(
         data: Folder of the data sets; None for ``SFMKIT_DATA`` or what was fetched.
         scenes: Names out of :data:`SCENES`.
         operators: Each runs alone, and all together.
+        matchers: Matcher of all operators, or a mapping operator -> matcher; None for ``nearest``.
+        backend: Robust estimator of the pairs; None for sfmkit's own.
         max_size: Longest side in pixels at which all of them detect, COLMAP's SIFT included.
         budget: Keypoints per operator and photograph; 8,192 is COLMAP's own number.
         two_view_points: Keep points that only two photographs show.
@@ -126,8 +134,8 @@ def bench_map(
         One row per scene and recipe.
 
     Raises:
-        InputError: pycolmap is not installed, a scene is unknown or missing, or the folder holds
-            rows of other settings.
+        InputError: pycolmap is not installed, a scene is unknown or missing, an operator, matcher
+            or estimator is unknown, or the rows in `out` come from other settings.
     """
     check_folder(out)
     pycolmap_module()
@@ -135,8 +143,12 @@ def bench_map(
     if unknown:
         raise InputError(f"unknown scene '{unknown[0]}'; the scenes are {', '.join(SCENES)}")
     home = None if data is None else Path(data)
+    operators = choose_operators(operators)
+    matchers = canonical_matchers(matchers)
+    options = adjust_preset("default", backend=backend, budget=budget, max_size=max_size)
+    complete = choose_options(options, operators, matchers=matchers)
     settings = {
-        "operators": list(operators),
+        **plugin_settings(operators, complete, matchers=matchers, backend=backend),
         "max_size": max_size,
         "budget": budget,
         "two_view_points": two_view_points,
@@ -146,7 +158,7 @@ def bench_map(
     recipes: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in operators]
     if len(recipes) > 1:
         recipes.append((FUSED, tuple(operators)))
-    options = MapOptions(two_view_points=two_view_points)
+    mapping = MapOptions(two_view_points=two_view_points)
     for name in scenes:
         scene = SCENES[name](home)
         for recipe, chosen in [*recipes, (COLMAP, ())]:
@@ -154,9 +166,10 @@ def bench_map(
                 continue
             progress("map", f"{scene.name}, {recipe}")
             if chosen:
-                row = _ours(scene, chosen, out, max_size, budget, workers, options, progress)
+                used = {operator: matcher_of(operator, complete.match) for operator in chosen}
+                row = _ours(scene, used, out, options, workers, mapping, progress)
             else:
-                row = _colmap(scene, max_size, budget, options)
+                row = _colmap(scene, max_size, budget, mapping)
             row = {"scene": scene.name, "recipe": recipe, **row}
             store.append([row])
             rows.append(row)
@@ -165,28 +178,27 @@ def bench_map(
 
 def _ours(
     scene: MapScene,
-    operators: tuple[str, ...],
+    matchers: Mapping[str, str],
     out: str | os.PathLike,
-    max_size: int | None,
-    budget: int,
+    options: Options,
     workers: int | None,
-    options: MapOptions,
+    mapping: MapOptions,
     progress: Progress,
 ) -> Row:
     def watch(state: SweepState) -> None:
-        progress("map", f"{scene.name}, {'+'.join(operators)}: {state.stage} {state.what}")
+        progress("map", f"{scene.name}, {'+'.join(matchers)}: {state.stage} {state.what}")
 
-    detect = replace(DEFAULT.detect, max_size=max_size, budget=budget)
     matched = match_folder(
         scene.folder,
         intrinsics=scene.intrinsics,
-        operators=operators,
-        options=replace(DEFAULT, detect=detect),
+        operators=tuple(matchers),
+        matchers=matchers,
+        options=options,
         pairs="all",
         workshop=Workshop.of(Path(out) / "cache", workers=workers, progress=watch),
     )
     with TemporaryDirectory() as work:
-        mapped = map_matched(matched, Path(work) / "database.db", options)
+        mapped = map_matched(matched, Path(work) / "database.db", mapping)
     row = {"pairs_cpu_s": _processor_seconds(matched), "map_s": mapped.seconds["map"]}
     return row | _figures(mapped.model, scene)
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from .._utils.progress import Progress
 from .._utils.sharding import Shard, part_of
 from .._utils.writing import check_folder
 from .._version import __version__
+from ..ablation.plugins import MATCHER, OPERATOR, REGISTRIES, PlugIn, find_plugin, load_plugins
 from ..datasets.oxford import oxford
 from ..datasets.pair import Pair
 from ..errors import InputError
@@ -30,7 +31,7 @@ from ..features import choose_operators, detect
 from ..geometry.homography import squared_homography_sampson_distance
 from ..geometry.homography_refinement import refine_homography
 from ..io.images import read_image
-from ..matching.nearest import match
+from ..matching import canonical_matchers, matcher_of, run_matcher
 from ..metrics import (
     corner_error,
     homography_rmse,
@@ -39,12 +40,13 @@ from ..metrics import (
     mean_matching_accuracy,
     repeatability,
 )
-from ..options import DEFAULT, PAPER, Options
+from ..options import DEFAULT, PAPER, MatchOptions, Options
 from ..pipeline.account import ALL
 from ..pipeline.registration import register_matches
-from ..pipeline.stages import OPERATORS_OF_THE_PAPER, FeaturePairs, fuse_all
+from ..pipeline.stages import OPERATORS_OF_THE_PAPER, FeaturePairs, choose_options, fuse_all
 from ..types import Correspondences, Features, Matches
 from .rows import Row, RowStore, finite
+from .settings import plugin_settings
 
 FLOOR = "floor"
 OURS, PAPERS = "ours", "paper"
@@ -57,6 +59,7 @@ def bench_oxford(
     data: str | os.PathLike | None = None,
     sequences: Iterable[str] | None = None,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    matchers: str | Mapping[str, str] | None = None,
     seeds: int = 5,
     workers: int | None = None,
     shard: Shard | None = None,
@@ -65,13 +68,15 @@ def bench_oxford(
     """Run what is missing of the benchmark and return all of its rows.
 
     Args:
-        out: folder for ``rows.jsonl``.
-        data: where the data set lies, see :func:`sfmkit.datasets.oxford.oxford`.
-        sequences: names; None for all that are there.
-        operators: at least one; each runs alone, and all together as ``multi``.
-        seeds: each estimate is made with seeds 0 ... seeds - 1.
-        workers: processes; None for one per core.
+        out: Folder for ``rows.jsonl``.
+        data: Folder of the data sets, see :func:`sfmkit.datasets.oxford.oxford`.
+        sequences: Names of sequences; None for all that are present.
+        operators: At least one; each runs alone, and all together as ``multi``.
+        matchers: Matcher of all operators, or a mapping operator -> matcher; None for ``nearest``.
+        seeds: Every estimate is repeated with seeds 0 ... seeds - 1.
+        workers: Number of processes; None for one per core.
         shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
+        progress: Called with (stage, detail) and the fraction of pairs that are done.
 
     Returns:
         Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
@@ -81,19 +86,24 @@ def bench_oxford(
         matches, repeatability, matching_score, mma, seconds).
 
     Raises:
-        InputError: missing data, unknown operators, no seeds, or rows in `out` that come from other
-            settings.
+        InputError: The data are missing, an operator or matcher is unknown or, with several
+            workers, cannot be imported by them, `seeds` is less than 1, or the rows in `out` come
+            from other settings.
     """
     check_folder(out)
     operators = choose_operators(operators)
+    matchers = canonical_matchers(matchers)
+    options = choose_options(DEFAULT, operators, matchers=matchers)
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, not {seeds}")
     pairs = part_of(list(oxford(data, sequences)), shard)
-    store = RowStore(
-        Path(out) / "rows.jsonl",
-        {"version": __version__, "operators": list(operators), "seeds": seeds},
-        shard,
-    )
+    settings = {
+        "version": __version__,
+        **plugin_settings(operators, options, matchers=matchers),
+        "seeds": seeds,
+    }
+    plugins = () if workers == 1 else _foreign_plugins(operators, options.match)
+    store = RowStore(Path(out) / "rows.jsonl", settings, shard)
     rows = store.read()
     have = {(row["sequence"], row["pair"]) for row in rows}
     missing = [pair for pair in pairs if (pair.sequence, pair.name) not in have]
@@ -101,16 +111,16 @@ def bench_oxford(
     if progress is not None:
         progress("oxford", fraction=done / len(pairs))
     workers = min(workers or os.cpu_count() or 1, max(len(missing), 1))
+    evaluate = partial(
+        evaluate_pair, operators=operators, seeds=seeds, match=options.match, plugins=plugins
+    )
     if workers == 1:
-        results: Iterable[tuple[Pair, list[Row]]] = (
-            (pair, evaluate_pair(pair, operators, seeds)) for pair in missing
-        )
-        for pair, new in results:
+        for pair in missing:
             done += 1
-            _keep(store, rows, new, progress, done, len(pairs), pair)
+            _keep(store, rows, evaluate(pair), progress, done, len(pairs), pair)
     else:
         with process_pool(workers) as pool:
-            jobs = {pool.submit(evaluate_pair, pair, operators, seeds): pair for pair in missing}
+            jobs = {pool.submit(evaluate, pair): pair for pair in missing}
             for job in as_completed(jobs):
                 done += 1
                 _keep(store, rows, job.result(), progress, done, len(pairs), jobs[job])
@@ -133,14 +143,44 @@ def _keep(
         progress("oxford", f"{pair.sequence} {pair.name}", fraction=done / total)
 
 
+def _foreign_plugins(operators: Sequence[str], match: MatchOptions) -> tuple[PlugIn, ...]:
+    """Find the operators and matchers that are not part of sfmkit, for worker processes."""
+    names = [(OPERATOR, name) for name in operators]
+    names += [(MATCHER, matcher_of(name, match)) for name in operators]
+    return tuple(
+        find_plugin(kind, name)
+        for kind, name in dict.fromkeys(names)
+        if not REGISTRIES[kind].is_built_in(name)
+    )
+
+
 @lru_cache(maxsize=8)
 def _first_image(path: Path, operator: str) -> Features:
     """Features of a sequence's first image, which all of its pairs share."""
     return detect(read_image(path), operator)
 
 
-def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]:
-    """All rows of a pair."""
+def evaluate_pair(
+    pair: Pair,
+    operators: Sequence[str],
+    seeds: int,
+    match: MatchOptions,
+    plugins: Sequence[PlugIn] = (),
+) -> list[Row]:
+    """Compute all rows of a pair.
+
+    Args:
+        pair: A pair with a true homography.
+        operators: Canonical names.
+        seeds: Number of seeds.
+        match: Options of the matching, which contain the matchers.
+        plugins: Plug-ins that a worker process has to load first.
+
+    Raises:
+        InputError: A plug-in cannot be loaded, or fails.
+    """
+    if reason := load_plugins(plugins):
+        raise InputError(reason)
     assert pair.H is not None
     where = {"sequence": pair.sequence, "pair": pair.name}
     features: dict[str, tuple[Features, Features]] = {}
@@ -151,7 +191,7 @@ def evaluate_pair(pair: Pair, operators: Sequence[str], seeds: int) -> list[Row]
         began = time.perf_counter()
         f1, f2 = features[name] = (_first_image(pair.image1, name), detect(second, name))  # type: ignore[arg-type]
         detected = time.perf_counter()
-        m = matches[name] = match(f1, f2)
+        m = matches[name] = run_matcher(f1, f2, match, operator=name)
         matched = time.perf_counter()
         repeated, _ = repeatability(f1, f2, pair.H)
         rows.append(

@@ -31,7 +31,6 @@ from ..matching.plugins import canonical_matchers
 from ..metrics import check_point_error, corner_error
 from ..options import Options, adjust_preset
 from ..pipeline.account import ALL
-from ..pipeline.provenance import used_plugins
 from ..pipeline.registration import register_matches
 from ..pipeline.stages import (
     OPERATORS_OF_THE_PAPER,
@@ -48,6 +47,7 @@ from ..pipeline.stages import (
 )
 from ..types import Camera, Matches, TwoView, Verdict
 from .rows import Row, RowStore, finite
+from .settings import plugin_settings
 
 __all__ = ["FAILED", "RESULT", "bench_pairs", "find_pairs", "pose_error"]
 
@@ -106,9 +106,7 @@ def bench_pairs(
     settings = {
         "version": __version__,
         "preset": preset,
-        "operators": list(operators),
-        "matchers": dict(matchers) if isinstance(matchers, Mapping) else matchers,
-        "plugins": used_plugins(operators, options),
+        **plugin_settings(operators, options, matchers=matchers, backend=backend),
         "seeds": seeds,
         "max_size": max_size,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as changed
 from pathlib import Path
@@ -24,13 +24,15 @@ from ..geometry.reprojection import project
 from ..io.cameras import camera_from_exif
 from ..io.images import read_image
 from ..io.ply import read_ply, write_ply
-from ..options import PRESETS, adjust_preset
+from ..matching import canonical_matchers
+from ..options import PRESETS, Options, adjust_preset
 from ..pipeline.account import ALL
 from ..pipeline.reconstruction import reconstruct
-from ..pipeline.stages import OPERATORS_OF_THE_PAPER
+from ..pipeline.stages import OPERATORS_OF_THE_PAPER, choose_options
 from ..types import Camera, PointCloud
 from . import colmap_peer
 from .rows import Row, RowStore
+from .settings import plugin_settings
 
 SMALL, WIDE = "small shift", "wide baseline"
 WIDE_STEP = 4  # photographs between those of a wide pair, where there are as many
@@ -114,6 +116,8 @@ def bench_uav(
     step: int | None = None,
     box: str | None = None,
     operators: Sequence[str] = OPERATORS_OF_THE_PAPER,
+    matchers: str | Mapping[str, str] | None = None,
+    backend: str | None = None,
     presets: Sequence[str] = ("default", "dense"),
     max_size: int | None = None,
     colmap: bool = True,
@@ -123,16 +127,22 @@ def bench_uav(
     """Run what is missing of the benchmark and return all of its rows.
 
     Args:
-        out: folder for ``rows.jsonl`` and the clouds of the first pairs as PLY.
-        data, sequence: see :func:`sfmkit.datasets.uav.uav`; None for the first flight that is
-            there.
-        step: how far apart the photographs of a wide pair are; None for 4, or as many as there are.
-        box: the target in the first photograph, see :func:`parse_box`.
-        presets: names of :data:`sfmkit.options.PRESETS`: all for the first pair of each case, the
-            first for the others.
-        max_size: longest side in pixels at which features are searched; None for full size.
-        colmap: also run COLMAP on the first pair of each case and on all photographs.
-        clouds: PLY files of other programs, of the same scene.
+        out: Folder for ``rows.jsonl`` and the clouds of the first pairs as PLY.
+        data, sequence: As for :func:`sfmkit.datasets.uav.uav`; None for the first flight that is
+            present.
+        step: Distance of the photographs of a wide pair in the sequence; None for 4, or for the
+            number of photographs less one if that is smaller.
+        box: Target in the first photograph, see :func:`parse_box`.
+        operators: At least one; they run together.
+        matchers: Matcher of all operators, or a mapping operator -> matcher; None for those of
+            the presets.
+        backend: Robust estimator; None for those of the presets.
+        presets: Names of :data:`sfmkit.options.PRESETS`: all run on the first pair of each case,
+            the first one on the other pairs.
+        max_size: Longest side, pixels, at which the photographs are searched; None for full size.
+        colmap: Also run COLMAP on the first pair of each case and on all photographs.
+        clouds: PLY files of the same scene from other programs.
+        progress: Called with (stage, detail) and the fraction of the work that is done.
 
     Returns:
         Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target,
@@ -140,20 +150,29 @@ def bench_uav(
         pycolmap is) and ``given`` (file, case -> points, target).
 
     Raises:
-        InputError: missing data, unknown operators or presets, a bad box or cloud, rows made with
-            other settings.
+        InputError: The data are missing, an operator, matcher, estimator or preset is unknown, the
+            estimator cannot estimate the model of a preset, the box or a cloud is invalid, or the
+            rows in `out` come from other settings.
     """
     check_folder(out)
     operators = choose_operators(operators)
-    for name in presets:
-        if name not in PRESETS:
-            raise InputError(f"unknown preset '{name}'; there are {', '.join(PRESETS)}")
+    matchers = canonical_matchers(matchers)
+    recipes = {
+        name: choose_options(
+            adjust_preset(name, backend=backend, max_size=max_size), operators, matchers=matchers
+        )
+        for name in presets
+    }
+    if not recipes:
+        raise InputError(f"name at least one preset: {', '.join(PRESETS)}")
     flight = open_flight(data, sequence, step)
     target = parse_box(box, flight.camera.size_wh)
     given = {str(path): read_ply(path) for path in clouds}
     settings = {
         "version": __version__,
-        "operators": list(operators),
+        **plugin_settings(
+            operators, next(iter(recipes.values())), matchers=matchers, backend=backend
+        ),
         "max_size": max_size,
         "box": list(target),
         "sequence": flight.cases[SMALL][0].sequence,
@@ -186,8 +205,7 @@ def bench_uav(
                 case,
                 what,
                 operators,
-                str(preset),
-                max_size,
+                recipes[str(preset)],
                 target,
                 flight.camera,
                 out if first else None,
@@ -216,20 +234,18 @@ def _pair_row(
     case: str,
     pair: Pair,
     operators: Sequence[str],
-    preset: str,
-    max_size: int | None,
+    options: Options,
     box: Box,
     camera: Camera,
     out: Path | None,
 ) -> Row:
-    options = adjust_preset(preset, max_size=max_size)
     result = reconstruct(pair.image1, pair.image2, operators=operators, options=options)
     cloud, line = result.cloud, result.account[ALL]
     row: Row = {
         "kind": "pair",
         "case": case,
         "pair": pair.name,
-        "preset": preset,
+        "preset": options.name,
         "verdict": result.two_view.verdict.value,
         "camera": camera.source,
         "size_wh": list(camera.size_wh),
@@ -242,7 +258,7 @@ def _pair_row(
     }
     if out is not None and cloud is not None and len(cloud):
         row["target"] = int(inside_box(cloud, camera, box).sum())
-        write_ply(out / ply_name(case, preset), cloud)
+        write_ply(out / ply_name(case, options.name), cloud)
     return row
 
 

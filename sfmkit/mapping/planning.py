@@ -16,6 +16,7 @@ from ..ablation.plugins import ESTIMATOR, MATCHER, OPERATOR, REGISTRIES, PlugIn,
 from ..ablation.tasks import DetectTask, ImageRef, MatchTask, PairTask
 from ..ablation.variants import Setting
 from ..errors import InputError
+from ..estimation import check_estimator
 from ..features import choose_operators
 from ..matching import canonical_matchers, choose_matchers, matcher_of
 from ..options import DEFAULT, Options
@@ -189,6 +190,13 @@ def make_recipe(
     if unused:
         raise InputError(f"a matcher for operators that are not used: {', '.join(unused)}")
     options = replace(options, match=match)
+    estimate = options.estimate
+    check_estimator(
+        estimate.backend,
+        model=estimate.model,
+        method=estimate.method,
+        overrides=estimate.overrides,
+    )
     wanted = [(OPERATOR, name) for name in (*names, descriptor)]
     wanted += [(MATCHER, matcher_of(name, match)) for name in names]
     wanted.append((ESTIMATOR, options.estimate.backend))

@@ -23,9 +23,9 @@ from .._utils.notices import warn
 from .._utils.progress import Progress
 from ..errors import CameraError, InputError, OperatorError
 from ..estimation import (
-    ESTIMATOR_PLUGINS,
     Adjustment,
     adjust,
+    check_estimator,
     estimate_two_view,
     undistorted_pixels,
 )
@@ -99,7 +99,8 @@ def choose_options(
 
     Raises:
         InputError: The seed is out of range, matchers or overrides are given for operators that are
-            not used, a matcher or estimator is unknown, or the device is not available.
+            not used, a matcher or estimator is unknown, the estimator does not take the options,
+            or the device is not available.
         OperatorError: No operator or more than 62 are given, or one is unknown.
     """
     if not operators:
@@ -121,7 +122,13 @@ def choose_options(
             raise InputError(f"{owner} for operators that are not used: {', '.join(unused)}")
     for name in operators:
         MATCHER_PLUGINS[matcher_of(name, match)]
-    ESTIMATOR_PLUGINS[options.estimate.backend]
+    estimate = options.estimate
+    check_estimator(
+        estimate.backend,
+        model=estimate.model,
+        method=estimate.method,
+        overrides=estimate.overrides,
+    )
     chosen = options.device if device is None else str(device)
     check_device(chosen)
     return replace(options, match=match, device=chosen)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from plugins import MODULE, install, on_path, write_example
 from small_sweep import pairs
 
 from sfmkit.ablation import ablate, make_plan, read_sweep
 from sfmkit.ablation.plugins import ESTIMATOR, PlugIn, load_plugins
+from sfmkit.ablation.tasks import PairTask, estimate_key
 from sfmkit.errors import InputError
 from sfmkit.estimation import ESTIMATOR_PLUGINS, register_estimator
 from sfmkit.features import OPERATOR_PLUGINS, register_operator
 from sfmkit.features.weights import WEIGHTS
+from sfmkit.options import EstimateOptions, FuseOptions, Options
+from sfmkit.types import Camera
 
 NAMED = {
     "operators": ["example-corners", "orb"],
@@ -48,6 +53,17 @@ def root(tmp_path) -> Path:
 def estimates(table) -> list:
     rows = sorted(table, key=lambda r: (r["pair"], r["sequence"], r["n_operators"], r["operators"]))
     return [(r["sequence"], r["status"], r["inliers"], r["R"], r["t"]) for r in rows]
+
+
+def test_the_options_of_an_estimator_are_part_of_the_cache_keys():
+    camera = Camera(np.array([[200.0, 0, 99.5], [0, 200, 79.5], [0, 0, 1]]), (200, 160))
+    keys, variants = [], []
+    for own in ({}, {"least": 8}, {"least": 9}):
+        options = EstimateOptions(backend="example-estimator", overrides=own)
+        keys.append(PairTask({}, (camera, camera), (None, None), FuseOptions(), options).key)
+        variant = SimpleNamespace(preset="default", options=Options(estimate=options))
+        variants.append(estimate_key(False, (camera, camera), variant, {}, (), 0))
+    assert len(set(keys)) == len(set(variants)) == 3
 
 
 @pytest.mark.slow

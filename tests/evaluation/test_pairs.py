@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plugins import MODULE, install, on_path, write_example
+from plugins import MODULE, on_path, write_example
 from small_sweep import pairs
 
 import sfmkit.evaluation.pairs as module
@@ -215,11 +215,6 @@ def test_bad_input_is_refused_before_anything_is_written(listed, tmp_path):
     with pytest.raises(InputError, match=r"list.json, pair 3: R: must hold 3 x 3 numbers"):
         bench_pairs([listed], out, operators=("orb",))
     assert not out.exists()
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory) -> Path:
-    return install(tmp_path_factory.mktemp("plugins"))
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import click
 import cv2
+import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -23,6 +24,7 @@ from sfmkit.estimation import ESTIMATOR_PLUGINS, RobustModel, run_estimator
 from sfmkit.features import OPERATOR_PLUGINS, detect
 from sfmkit.matching import MATCHER_PLUGINS, choose_matchers, match, run_matcher
 from sfmkit.options import DEFAULT, MatchOptions
+from sfmkit.pipeline.report import make_report, schema
 from sfmkit.types import Features, Matches, Verdict
 
 MODULE = '''
@@ -47,8 +49,8 @@ def both_ways(features1, features2, *, worst=0.9):
     return Matches(i.astype(np.int64), j.astype(np.int64), distance.astype(np.float32),
                    ratio.astype(np.float32))
 
-def estimate(x1, x2, K1, K2, *, threshold_px, seed):
-    return by_opencv(x1, x2, K1, K2, threshold_px=threshold_px, seed=seed)
+def estimate(x1, x2, K1, K2, *, threshold_px, seed, scale=1.0):
+    return by_opencv(x1, x2, K1, K2, threshold_px=scale * threshold_px, seed=seed)
 '''
 ENTRY_POINTS = """[sfmkit.operators]
 made-up-corners = made_up_plugins:corners
@@ -92,9 +94,15 @@ def test_entry_points_and_import_paths_in_python(installed):
         truth,
         ("made-up-corners", "made_up_plugins:corners", "orb"),
         matchers={"made-up-corners": "made-up-matcher"},
-        options=replace(QUICK, estimate=replace(QUICK.estimate, backend="made-up-estimator")),
+        options=replace(
+            QUICK,
+            estimate=replace(QUICK.estimate, backend="made-up-estimator", overrides={"scale": 0.5}),
+        ),
     )
     assert result.two_view.verdict is Verdict.GENERAL
+    report = make_report(result)
+    jsonschema.validate(report, schema())
+    assert report["options"]["estimate"]["overrides"] == {"scale": 0.5}
     a, b = (result.features[n][0] for n in ("made-up-corners", "made_up_plugins:corners"))
     assert a.operator == "made-up-corners"
     np.testing.assert_array_equal(a.keypoints, b.keypoints)
@@ -257,6 +265,34 @@ def test_an_estimator_of_essential_matrices_only_is_not_asked_for_others():
             run_estimator("only-e", x, x, EYE, EYE, method="fast")
     finally:
         ESTIMATOR_PLUGINS.unregister("only-e")
+
+
+def test_an_estimator_gets_its_own_options():
+    def estimate(x1, x2, K1, K2, *, seed, least=8):
+        return RobustModel(EYE, torch.full((len(x1),), len(x1) >= least), least, 0)
+
+    register_estimator("has-options", estimate)
+    x = torch.rand(9, 2, dtype=torch.float64)
+    try:
+        assert run_estimator("has-options", x, x, EYE, EYE).score == 8
+        found = run_estimator("has-options", x, x, EYE, EYE, overrides={"least": 10})
+        assert found.score == 10
+        assert not found.inliers.any()
+        options = replace(DEFAULT.estimate, backend="has-options", overrides={"least": 10})
+        assert options.with_backend("has-options") is options
+        assert not options.with_backend("torch").overrides
+        for wrong, reason in (
+            ({"lest": 10}, "'has-options' has no option 'lest'"),
+            ({"seed": 1}, "'seed' is a parameter of every estimator"),
+            ({"ratio": None}, "'ratio' is a parameter of every estimator"),
+        ):
+            with pytest.raises(InputError, match=reason):
+                run_estimator("has-options", x, x, EYE, EYE, overrides=wrong)
+            wrong_options = replace(DEFAULT, estimate=replace(options, overrides=wrong))
+            with pytest.raises(InputError, match=reason):
+                reconstruct("no-image.png", "no-image.png", options=wrong_options)
+    finally:
+        ESTIMATOR_PLUGINS.unregister("has-options")
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,10 @@ def estimate(
     threshold_px: float,
     confidence: float,
     seed: int,
+    least: int = 6,
 ) -> RobustModel:
     """The essential matrix by least median of squares."""
-    if len(x1) < 6:
+    if len(x1) < least:
         return RobustModel.failed(len(x1))
     cv2.setRNGSeed(seed)
     normalised = [
