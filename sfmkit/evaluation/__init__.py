@@ -1,4 +1,4 @@
-"""Benchmarks: the experiments of the paper, and the pairs of any data set."""
+"""Benchmarks: the experiments of the paper, and image pairs of any data set."""
 
 from __future__ import annotations
 

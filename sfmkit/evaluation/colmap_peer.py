@@ -1,5 +1,7 @@
-"""COLMAP on the same photographs, through pycolmap (the ``peers`` extra): its fast path, by way of
-its database."""
+"""COLMAP on the same photographs, through pycolmap (the extra ``peers``).
+
+Features and matches go through COLMAP's database, which is much faster than its matcher in memory.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,20 @@ from ..io.colmap.engine import pycolmap_module
 from ..types import Camera, PointCloud
 
 NAME = "colmap"
-# Least angle between the rays of a first pair: COLMAP's own, then less. Of two photographs there is
-# nothing to choose.
+# Least angle between the rays of the first pair, degrees: COLMAP's default, then smaller ones. With
+# two photographs there is only one pair to start from.
 _TRIES_DEG, _PAIR_DEG = (16.0, 4.0, 1.5), (1.5,)
 
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """What COLMAP made of some photographs.
+    """A sparse model computed by COLMAP.
 
     Attributes:
-        cloud: its points in the frame of the first photograph, in units of the distance from there
-            to the second; None where it made no model, or one without these two.
-        seconds: extracting, matching, mapping.
-        images: that it placed, and that it was given.
+        cloud: Points in the frame of the first photograph, in units of its distance to the second
+            one; None without a model that contains both.
+        seconds: Durations of extraction, matching and mapping.
+        images: Numbers of registered photographs and of all photographs.
     """
 
     cloud: PointCloud | None
@@ -46,11 +48,12 @@ class ColmapModel:
 def extract_and_match(
     database: Path, images: Sequence[Path], camera: Camera, **verification: Any
 ) -> dict[str, float]:
-    """Features and verified matches of photographs in one folder, taken by one known camera, into
-    COLMAP's database.
+    """Write features and verified matches of photographs into a COLMAP database.
+
+    All photographs are in one folder and were taken by one known camera.
 
     Returns:
-        seconds of ``extract`` and ``match``.
+        Durations of ``extract`` and ``match`` in seconds.
     """
     pycolmap = pycolmap_module()
     reader = pycolmap.ImageReaderOptions()
@@ -78,7 +81,7 @@ def extract_and_match(
 
 
 def two_view_inliers(image1: Path, image2: Path, camera: Camera) -> tuple[int, float]:
-    """Number of verified matches of two photographs, and the seconds that COLMAP took."""
+    """Return the number of verified matches of two photographs, and the duration in seconds."""
     pycolmap = pycolmap_module()
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "database.db"
@@ -89,14 +92,14 @@ def two_view_inliers(image1: Path, image2: Path, camera: Camera) -> tuple[int, f
 
 
 def reconstruct(images: Sequence[Path], camera: Camera) -> ColmapModel:
-    """COLMAP's sparse model: features, exhaustive matching, incremental mapping with the given
-    camera held.
+    """Reconstruct a sparse model with COLMAP, with fixed intrinsics.
 
-    Points seen in two photographs only are kept, as all of ours are; COLMAP leaves them out unless
-    told.
+    COLMAP extracts features, matches all pairs and runs its incremental mapper. Points seen in only
+    two photographs are kept, because all points of a two-view cloud are of this kind; COLMAP drops
+    them by default.
 
     Args:
-        images: two or more in one folder; the first two define frame and unit.
+        images: Two or more photographs in one folder; the first two define frame and unit.
 
     Raises:
         InputError: pycolmap is not installed.

@@ -1,15 +1,14 @@
-"""The density of a cloud, as the paper looks at it in Figures 13 to 17, and its claim put to the
-test.
+"""Density of a cloud (the paper's Figures 13 to 17), and a test of the paper's claim about edges.
 
-The claim is that the clouds are denser at edges and corners. The test: are the counts of the
-quarter of the points whose surroundings look most like an edge (by each feature of
-:mod:`sfmkit.clouds.local_shape`) larger than those of the rest? The size of the difference is
-Cliff's delta, its interval drawn from whole cells of space four radii wide, because neighbours are
-alike.
+The paper claims that the clouds are denser at edges and corners. For each feature of
+:mod:`sfmkit.clouds.local_shape`, the test compares the neighbour counts of the quarter of the
+points that look most like an edge with the counts of the other points. The effect size is Cliff's
+delta. Its interval comes from a bootstrap over cells of space that are four radii wide, because
+neighbouring points have similar counts.
 
-A sphere around a point near a crease holds more surface than one on a plain: a box covered evenly
-shows a delta of +0.4 for the surface variation. Only what goes beyond that would be the detectors'
-doing.
+A sphere around a point near a crease contains more surface than a sphere on a plane: a uniformly
+covered box has a delta of +0.4 for the surface variation. Only a larger delta can be attributed to
+the detectors.
 """
 
 from __future__ import annotations
@@ -30,23 +29,22 @@ from ..io.ply import write_ply
 from ..types import PointCloud
 from .effect_size import Effect, cliffs_delta
 
-EDGE_SHARE = 0.25  # of the points counts as edge
-CELL = 4  # width of what the bootstrap draws, in radii: beyond that counts share no points
-_FEW = (100, 10)  # points and cells that a comparison needs
+EDGE_SHARE = 0.25  # share of the points that count as edge points
+CELL = 4  # width of a bootstrap cell in radii; counts of distant points share no points
+_FEW = (100, 10)  # least numbers of points and cells for a comparison
 
 
 @dataclass(frozen=True, eq=False)
 class DensityReport:
-    """A cloud's density and what it has to do with edges.
+    """Density of a cloud and its relation to edges.
 
     Attributes:
-        cloud: the cloud.
-        density: at each point.
-        shape: around each point, or some of them.
-        histogram: of the counts, in classes of whole width.
-        effects: feature -> how much larger the counts are where it is in its upper quarter; empty
-            where too few points have neighbours enough to tell, or the radius is so large that they
-            all lie in a few cells.
+        cloud: The cloud.
+        density: Density at each point.
+        shape: Local shape around each point, or around a sample of the points.
+        histogram: Histogram of the counts, with integer class widths.
+        effects: Feature -> effect size of its upper quarter on the counts; empty if too few points
+            have enough neighbours, or if the radius is so large that the points lie in a few cells.
     """
 
     cloud: PointCloud
@@ -56,7 +54,7 @@ class DensityReport:
     effects: dict[str, Effect]
 
     def numbers(self) -> dict[str, Any]:
-        """Everything but the points, for JSON."""
+        """Return all results except the points as JSON values."""
         n, h = self.density.neighbours, self.histogram
         return {
             "points": len(n),
@@ -94,14 +92,14 @@ class DensityReport:
 def density_report(
     cloud: PointCloud, radius: float | None = None, *, progress: Progress | None = None
 ) -> DensityReport:
-    """Count, measure the shapes and compare.
+    """Count neighbours, measure local shapes and compare edge points with the others.
 
     Args:
-        radius: in the unit of the cloud; None for ten times the spacing of its points.
-        progress: called with (stage, detail).
+        radius: Radius in the unit of the cloud; None for ten times the spacing of its points.
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: see :func:`sfmkit.clouds.density.density`.
+        InputError: As for :func:`sfmkit.clouds.density.density`.
     """
     xyz = cloud.xyz.numpy()
     found = density(xyz, radius, progress=progress)
@@ -122,7 +120,7 @@ def _effects(xyz: np.ndarray, found: Density, shape: LocalShape) -> dict[str, Ef
     effects = {}
     for name, values in shape.features().items():
         edge = values[known] > np.quantile(values[known], 1 - EDGE_SHARE)
-        if edge.any():  # else they are all alike
+        if edge.any():  # otherwise the feature is constant
             effects[name] = cliffs_delta(found.neighbours[rows], edge, cells)
     return effects
 
@@ -130,12 +128,12 @@ def _effects(xyz: np.ndarray, found: Density, shape: LocalShape) -> dict[str, Ef
 def write_density(report: DensityReport, folder: Path, *, overwrite: bool = False) -> None:
     """Write ``density.json``, ``density.ply``, ``density.png`` and ``histogram.png``, all or none.
 
-    The points of the PLY file are coloured by their counts and carry ``neighbours``,
-    ``surface_density``, ``volume_density`` and, where measured (NaN elsewhere), the features of
-    their surroundings.
+    The points of the PLY file are coloured by their counts. Their properties are ``neighbours``,
+    ``surface_density``, ``volume_density`` and the features of the local shape (NaN where they were
+    not measured).
 
     Raises:
-        OutputError: the folder exists or cannot be written.
+        OutputError: The folder exists or cannot be written.
     """
     from ..viz import density_figures
     from ..viz.figures import save

@@ -1,4 +1,4 @@
-"""How different two groups are, beyond whether they differ."""
+"""Effect size of the difference between two groups."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from ..errors import InputError
 
 
 class Effect(NamedTuple):
-    """Cliff's delta with its interval.
+    """Cliff's delta with its confidence interval.
 
     Attributes:
-        delta: P(a > b) - P(a < b) over all pairs of one of each group: 1 when all of the first are
-            larger, 0 when neither tends to be. It equals the rank-biserial correlation. 0.15, 0.33
-            and 0.47 are customarily called small, medium and large (Romano et al. 2006).
-        low, high: bounds of its 95 % bootstrap interval.
-        n: members of the first and the second group.
+        delta: P(a > b) - P(a < b) over all pairs of one value a of the first group and one value b
+            of the second. It is 1 if all values of the first group are larger, and 0 if neither
+            group tends to be larger. It equals the rank-biserial correlation. 0.15, 0.33 and 0.47
+            are commonly called small, medium and large (Romano et al. 2006).
+        low, high: Bounds of the 95 % bootstrap interval.
+        n: Sizes of the first and the second group.
     """
 
     delta: float
@@ -34,18 +35,21 @@ def cliffs_delta(
     draws: int = 1000,
     seed: int = 0,
 ) -> Effect:
-    """Cliff's delta between two groups (Cliff 1993), with a percentile bootstrap interval.
+    """Compute Cliff's delta between two groups, with a percentile bootstrap interval.
 
     Args:
-        values: (N,) what is compared.
-        first: (N,) bool: members of the first group; the others are the second.
-        cells: (N,) int: units that are drawn as a whole, where neighbours are alike and a bootstrap
-            of single values would make the interval too narrow. None: each value for itself.
-        draws: bootstrap samples.
-        seed: of the draws.
+        values: (N,) values to compare.
+        first: (N,) bool, True for the first group and False for the second.
+        cells: (N,) int, units that the bootstrap draws as a whole. A bootstrap of single values
+            gives too narrow an interval if neighbouring values are correlated. None draws single
+            values.
+        draws: Number of bootstrap samples.
+        seed: Seed of the bootstrap.
 
     Raises:
-        InputError: a group is empty, or values are not finite.
+        InputError: A group is empty, or a value is not finite.
+
+    Source: Cliff, "Dominance statistics", Psychological Bulletin 114 (1993).
     """
     values, first = np.asarray(values), np.asarray(first, dtype=bool)
     n = int(first.sum()), int((~first).sum())

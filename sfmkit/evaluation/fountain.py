@@ -1,13 +1,12 @@
-"""The fountain benchmark: what becomes of the features on the way to the cloud, and how right pose
-and cloud are.
+"""Fountain benchmark: number of features after each stage, and accuracy of pose and cloud.
 
-Neighbouring photographs of EPFL's fountain-P11 with true cameras, and rendered scenes whose depth
-is known. Every operator is searched and matched once a pair and preset; alone and together they are
-estimated with every seed.
+The data are neighbouring photographs of EPFL's fountain-P11 with true cameras, and rendered scenes
+with known depth. Each operator is detected and matched once per pair and preset. The geometry is
+estimated for each operator alone and for all together, with every seed.
 
-What the paper's Table 6 calls initial is read as the matches that are handed to the geometry: its
-text says "detected features" in one place and "from matching to the final point cloud" in another,
-and only the second fits its numbers.
+The column "initial" of the paper's Table 6 is interpreted as the matches from which the geometry is
+estimated. The paper defines it as "detected features" in one place and writes "from matching to the
+final point cloud" in another; only the second definition agrees with its numbers.
 """
 
 from __future__ import annotations
@@ -52,12 +51,11 @@ from .rows import Row, RowStore, finite
 from .settings import plugin_settings
 
 SEQUENCE = "fountain-P11"
-RIGHT_PX = (
-    1.0  # Sampson distance from the true epipolar geometry below which a match counts as right
-)
+# A match with a smaller Sampson distance to the true epipolar geometry counts as correct, pixels.
+RIGHT_PX = 1.0
 SCENES = ("courtyard", "wide", "dish")
 SCENE_SIZE = (1024, 768)
-CLOSE = 0.01  # of the depth: a point of a cloud that close to the surface counts as right
+CLOSE = 0.01  # distance to the true surface over depth below which a point counts as correct
 
 
 def bench_fountain(
@@ -75,7 +73,7 @@ def bench_fountain(
     scene_size: tuple[int, int] = SCENE_SIZE,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Run what is missing of the benchmark and return all of its rows.
+    """Run the missing parts of the benchmark and return all of its rows.
 
     Args:
         out: Folder for ``rows.jsonl`` and the pictures of the first pair's clouds.
@@ -158,10 +156,10 @@ def bench_fountain(
 
 
 def choose_pairs(there: list[Pair], names: Iterable[str] | None) -> list[Pair]:
-    """The pairs of these names, in the order of the data set.
+    """Return the pairs with these names, in the order of the data set.
 
     Raises:
-        InputError: a name that is not there.
+        InputError: There is no pair with one of the names, or no name is given.
     """
     if names is None:
         return there
@@ -178,12 +176,12 @@ def choose_pairs(there: list[Pair], names: Iterable[str] | None) -> list[Pair]:
 
 
 def cloud_picture(preset: str) -> str:
-    """Name of the picture of the first pair's clouds."""
+    """Return the file name of the picture of the first pair's clouds."""
     return f"clouds-{preset}.png"
 
 
 def true_fundamental(pair: Pair) -> Tensor:
-    """(3, 3) fundamental matrix of a pair's true cameras, pixels."""
+    """Return the (3, 3) fundamental matrix of a pair's true cameras, for pixels."""
     assert pair.R is not None
     assert pair.t is not None
     assert pair.camera1 is not None
@@ -195,7 +193,7 @@ def true_fundamental(pair: Pair) -> Tensor:
 
 
 def right_matches(F_true: Tensor, corr: Correspondences) -> Tensor:
-    """(N,) bool: correspondences within 1 px of the true epipolar geometry (Sampson distance)."""
+    """Return (N,) bool: Sampson distance to the true epipolar geometry below 1 px."""
     return signed_sampson_distance(F_true, corr.x1, corr.x2).abs() < RIGHT_PX
 
 
@@ -206,7 +204,7 @@ def estimate_cloud(
     options: Options,
     seed: int,
 ) -> tuple[TwoView, PointCloud | None]:
-    """The stages after fusion, as :func:`sfmkit.pipeline.reconstruction` has them."""
+    """Run the stages after fusion in the order of :mod:`sfmkit.pipeline.reconstruction`."""
     view, adjustment = estimate_geometry(corr, cameras, options.estimate, seed=seed)
     return view, make_cloud(corr, view, image1, options.triangulate, adjustment)
 
@@ -272,8 +270,10 @@ def _pair_rows(
 def _sets(
     operators: Sequence[str], options: Options
 ) -> list[tuple[str, tuple[str, ...], float | None]]:
-    """What is estimated: each operator alone, all together, and all without merging, as the paper
-    counts."""
+    """List the estimates as (name, operators, merge radius).
+
+    These are each operator alone, all together, and all without merging, as in the paper.
+    """
     radius = options.fuse.merge_radius
     sets: list[tuple[str, tuple[str, ...], float | None]] = [
         (name, (name,), radius) for name in operators
@@ -297,8 +297,10 @@ def _fused(
 def _scene_rows(
     scene: str, operators: Sequence[str], options: Options, seeds: int, size: tuple[int, int]
 ) -> list[Row]:
-    """How far the cloud of a rendered scene lies from its surfaces, at the true length of the
-    baseline."""
+    """Measure the distances of clouds to the surfaces of a rendered scene.
+
+    The clouds are scaled by the true length of the baseline.
+    """
     made = _rendered(scene, size)
     images = (read_image(made.image1), read_image(made.image2))
     features = detect_all(images, operators, options.detect)
@@ -334,13 +336,23 @@ def _scene_rows(
 
 @lru_cache(maxsize=1)
 def _rendered(scene: str, size: tuple[int, int]) -> SyntheticPair:
-    """A scene, which every preset sees."""
+    """Render a scene; all presets use the same images."""
     return render(scene, size_wh=size)
 
 
 def surface_error(X: np.ndarray, x1: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """(N,) distance of points X (N, 3) from what the pixels x1 (N, 2) show at `depth` (N,), over
-    that depth; inf for sky."""
+    """Compute the relative distances of points to the true surface.
+
+    Args:
+        X: (N, 3) points in the frame of the camera.
+        x1: (N, 2) pixels of the points.
+        depth: (N,) true depths at these pixels, inf for sky.
+        camera: The camera.
+
+    Returns:
+        (N,) distance between the point and the true point of its pixel, over the true depth; inf
+        for sky.
+    """
     rays = np.column_stack([x1, np.ones(len(x1))]) @ np.linalg.inv(camera.K).T
     sky = ~np.isfinite(depth)
     truth = np.where(sky, 1.0, depth)[:, None] * rays

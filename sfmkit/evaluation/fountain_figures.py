@@ -1,4 +1,4 @@
-"""Figure 11: the clouds of the single operators and of all together."""
+"""Figure 11 of the paper: clouds of single operators and of all operators together."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..pipeline.account import ALL
 from ..types import Camera, PointCloud
 from ..viz.splats import splat
 
-_ORDER = ("fast-brief", "orb", "surf")  # as in the paper; others come after, all together last
-_DOT = 3  # pixels
+_ORDER = ("fast-brief", "orb", "surf")  # order of the paper; others follow
+_DOT = 3  # size of a point, pixels
 
 
 def draw_clouds(path: Path, clouds: Mapping[str, PointCloud], camera: Camera) -> None:
-    """Every cloud as camera 1 sees it, two in a row, as PNG."""
+    """Draw every cloud from the viewpoint of camera 1, two per row, as PNG."""
     names = sorted(
         clouds, key=lambda n: (n == ALL, _ORDER.index(n) if n in _ORDER else len(_ORDER))
     )

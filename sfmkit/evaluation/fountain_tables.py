@@ -1,5 +1,4 @@
-"""The paper's Table 6 and Figure 11 from the rows of the fountain benchmark, and what the truth
-says of them."""
+"""The paper's Table 6 and Figure 11, and accuracy tables, from rows of the fountain benchmark."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ PRESET_TITLES = {
 
 
 def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
-    """Tables of a benchmark's rows, and the figures that lie in `folder`."""
+    """Make the tables of the rows, and list the figures that exist in `folder`."""
     clouds = [r for r in rows if r["kind"] == "cloud"]
     first = clouds[0]["pair"]
     presets = list(dict.fromkeys(r["preset"] for r in clouds))
@@ -39,7 +38,7 @@ def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
             f"Figure 11: the clouds of pair {first}, {PRESET_TITLES[preset]}",
             cloud_picture(preset),
             f"Point clouds of the single operators and of all together, {PRESET_TITLES[preset]}, "
-            "as camera 1 sees them",
+            "seen from camera 1",
         )
         for preset in presets
         if (folder / cloud_picture(preset)).is_file()
@@ -55,20 +54,16 @@ def fountain_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
         figures=figures,
         seeds=tuple(sorted({r["seed"] for r in clouds})),
         notes=(
-            "Initial is read as the matches that are handed to the geometry, and loss as the "
-            "share of them that became no "
-            "point. The paper's text calls initial the detected features in one place, and says "
-            "the loss is from "
-            "matching to the final cloud in another; its numbers fit the second only.",
-            "The paper adds the operators' matches up, so a corner that two operators found "
-            "counts twice. Our presets "
-            "default and dense merge such matches; the line “multi, unmerged” counts as the "
-            "paper does.",
-            "The dense preset is the default with half the least contrast of every operator, "
-            "twice as many keypoints, and "
-            "only matches whose best distance is below 0.9 of the second best. The ratio test "
-            "throws matches away before "
-            "they count as initial; the column of matches tells what passed it.",
+            "Initial is the number of matches from which the geometry is estimated; loss is the "
+            "share of them that was not triangulated. In one place the paper defines initial as "
+            "the detected features, in another the loss as that from matching to the final cloud. "
+            "Its numbers agree only with the second definition.",
+            "The paper adds the matches of the operators, so a corner found by two operators "
+            "counts twice. The presets default and dense merge such matches; the line “multi, "
+            "unmerged” counts them as in the paper.",
+            "The preset dense differs from default in three settings: half the contrast "
+            "thresholds, twice as many keypoints, and a ratio test at 0.9. Initial counts the "
+            "matches that passed the ratio test, as does the column of matches.",
         ),
     )
 
@@ -83,7 +78,7 @@ def _percent(value: float | None) -> float | None:
 
 
 def _lines(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """(label, rows of all seeds) of every operator alone, all together, and all without merging."""
+    """Group rows by operator, all together, and all without merging: (label, rows)."""
     lines: dict[tuple[str, bool], list[Row]] = {}
     for r in rows:
         lines.setdefault((r["operator"], r["merged"]), []).append(r)
@@ -142,10 +137,9 @@ def _table_6(rows: Sequence[Row], preset: str) -> ResultTable:
         Column("paper: loss, %", ".2f", paper=True),
     )
     note = (
-        "Single operators are estimated alone, as the paper's seem to be (their points add up to "
-        "26,725, not to "
-        "27,673). Points within the fusion: those of all together that the operator found, alone "
-        "or with others."
+        "Single operators are estimated alone. The paper apparently did the same, because its "
+        "points add up to 26,725 and not to 27,673. Points within the fusion: points of the fused "
+        "cloud that the operator found, alone or with others."
     )
     return ResultTable(
         f"table-6-{preset}",
@@ -191,13 +185,11 @@ def _truth_table(rows: Sequence[Row]) -> ResultTable:
         Column("seconds", ".1f"),
     )
     note = (
-        f"Right: of the cloud's matches, those within {RIGHT_PX:g} px of the true epipolar "
-        "geometry (Sampson distance). Right "
-        "ones kept: of all right matches, those that became points. Errors of rotation and of "
-        "the translation's "
-        "direction: median and worst of the seeds; below about 0.03 and 0.1 degrees they measure "
-        "the truth's own error. "
-        "Seconds: reading to triangulating, on the machine and under the load stated."
+        f"Right: share of the cloud's matches with a Sampson distance below {RIGHT_PX:g} px to "
+        "the true epipolar geometry. Right ones kept: share of all right matches that were "
+        "triangulated. Errors of the rotation and of the direction of the translation: median and "
+        "worst over the seeds; below about 0.03 and 0.1 degrees they measure the error of the "
+        "ground truth. Seconds: from reading to triangulation, on the stated machine and load."
     )
     return ResultTable(
         "truth", f"Against the true cameras, pair {rows[0]['pair']}", columns, tuple(lines), note
@@ -237,7 +229,7 @@ def _pairs_table(rows: Sequence[Row]) -> ResultTable:
         Column("translation, deg", ".3f"),
     )
     return ResultTable(
-        "pairs", "All operators together on the neighbours of the sequence", columns, tuple(lines)
+        "pairs", "All operators together, all pairs of neighbours", columns, tuple(lines)
     )
 
 
@@ -271,14 +263,13 @@ def _scenes_table(rows: Sequence[Row]) -> ResultTable:
         Column("translation, deg", ".3f"),
     )
     note = (
-        "Distance of the points from the surface that their pixel of image 1 shows, the cloud "
-        "scaled by the true length of "
-        "the baseline and not aligned otherwise; in per cent of the depth, median. All operators "
-        "together."
+        "Median distance between the points and the surface at their pixel of image 1, in per "
+        "cent of the depth. The cloud is scaled by the true length of the baseline and not "
+        "aligned otherwise. All operators together."
     )
     return ResultTable(
         "scenes",
-        "Rendered scenes: the cloud's distance from the surfaces",
+        "Rendered scenes: distance of the cloud to the surfaces",
         columns,
         tuple(lines),
         note,

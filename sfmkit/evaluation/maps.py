@@ -1,6 +1,6 @@
-"""Many views: operators alone and together, and COLMAP's SIFT, with the same mapper.
+"""Benchmark of many views: operators alone and together, and COLMAP's SIFT, with the same mapper.
 
-Every recipe gives COLMAP's incremental mapper a database of the same photographs; only the
+Every recipe writes a database of the same photographs for COLMAP's incremental mapper. Only the
 keypoints and the two-view geometries differ.
 """
 
@@ -54,10 +54,11 @@ class MapScene:
     """Photographs of one scene.
 
     Attributes:
-        name: For tables.
-        folder: Of the photographs.
+        name: Name in tables.
+        folder: Folder of the photographs.
         intrinsics: As for :func:`sfmkit.mapping.match_folder`; None for EXIF.
-        truth: Name -> R (3, 3) and t (3,), ``X_camera = R X_world + t``, m; empty if unknown.
+        truth: File name -> R (3, 3) and t (3,), ``X_camera = R X_world + t``, metres; empty if
+            unknown.
     """
 
     name: str
@@ -67,7 +68,7 @@ class MapScene:
 
 
 def fountain_scene(data: Path | None) -> MapScene:
-    """EPFL fountain-P11: 11 photographs, cameras from laser scans."""
+    """Return EPFL fountain-P11: 11 photographs, cameras from laser scans."""
     home = data_root("strecha", data) / "fountain-P11"
     files = image_files(home / "images")
     cameras = [home / "gt_dense_cameras" / f"{file.name}.camera" for file in files]
@@ -79,7 +80,7 @@ def fountain_scene(data: Path | None) -> MapScene:
 
 
 def temple_scene(data: Path | None) -> MapScene:
-    """Middlebury temple ring: 16 photographs, about 24 degrees apart."""
+    """Return the Middlebury temple ring: 16 photographs, about 24 degrees apart."""
     views = temple_ring(data)
     K = views[0].camera.K
     text = ",".join(repr(float(v)) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
@@ -88,7 +89,7 @@ def temple_scene(data: Path | None) -> MapScene:
 
 
 def drone_scene(data: Path | None) -> MapScene:
-    """Five photographs of a drone; the camera is that of EXIF, there is no truth."""
+    """Return five drone photographs with the camera from EXIF and without ground truth."""
     return MapScene("drone", data_root("uav", data) / "toledo-p3pro")
 
 
@@ -120,15 +121,16 @@ def bench_map(
     Args:
         out: Folder of the rows and of the cache.
         data: Folder of the data sets; None for ``SFMKIT_DATA`` or what was fetched.
-        scenes: Names out of :data:`SCENES`.
+        scenes: Names in :data:`SCENES`.
         operators: Each runs alone, and all together.
         matchers: Matcher of all operators, or a mapping operator -> matcher; None for ``nearest``.
         backend: Robust estimator of the pairs; None for sfmkit's own.
-        max_size: Longest side in pixels at which all of them detect, COLMAP's SIFT included.
-        budget: Keypoints per operator and photograph; 8,192 is COLMAP's own number.
-        two_view_points: Keep points that only two photographs show.
-        workers: Processes.
-        progress: Called with the recipe.
+        max_size: Longest side, pixels, at which features are detected, also by COLMAP's SIFT; None
+            for full size.
+        budget: Keypoints per operator and photograph; COLMAP's default is 8,192.
+        two_view_points: Keep points that are seen in only two photographs.
+        workers: Number of processes; None for one per core.
+        progress: Called with (stage, detail).
 
     Returns:
         One row per scene and recipe.
@@ -204,7 +206,7 @@ def _ours(
 
 
 def _processor_seconds(matched: MatchedFolder) -> float:
-    """Processor time of all detections and pairs, also of those that came from the cache."""
+    """Return the processor time of all detections and pairs, cached ones included."""
     total = 0.0
     for photograph in matched.plan.used.tolist():
         for operator in matched.plan.recipe.operators:
@@ -218,7 +220,7 @@ def _processor_seconds(matched: MatchedFolder) -> float:
 
 
 def _colmap(scene: MapScene, max_size: int | None, budget: int, options: MapOptions) -> Row:
-    """COLMAP's SIFT and matching with the camera of sfmkit, then the same mapper."""
+    """Run COLMAP's SIFT and matching with the camera of sfmkit, then the same mapper."""
     pycolmap = pycolmap_module()
     collection = read_collection(scene.folder)
     cameras = choose_shared_cameras(collection, scene.intrinsics)
@@ -256,7 +258,7 @@ def _colmap(scene: MapScene, max_size: int | None, budget: int, options: MapOpti
 
 
 def _figures(model: Any, scene: MapScene) -> Row:
-    """What a model is measured by."""
+    """Return the size and the accuracy of a model."""
     row: Row = {"registered": 0, "photographs": len(image_files(scene.folder))}
     if model is None:
         return row
@@ -273,14 +275,15 @@ def _figures(model: Any, scene: MapScene) -> Row:
 
 
 def pose_errors_of(poses: Mapping[str, Pose], truth: Mapping[str, Pose]) -> Row:
-    """Median and largest error of position and rotation after the alignment by a similarity.
+    """Compute pose errors after the alignment by a similarity.
 
     Args:
         poses, truth: Name -> R and t, ``X_camera = R X_world + t``.
 
     Returns:
-        ``position_mm``, ``position_worst_mm``, ``rotation_deg``, ``rotation_worst_deg``; empty
-        where fewer than three photographs are known to both.
+        Median and largest errors ``position_mm``, ``position_worst_mm``, ``rotation_deg`` and
+        ``rotation_worst_deg``; empty if fewer than three photographs are in both mappings, or the
+        cameras lie on a line.
     """
     names = [name for name in poses if name in truth]
     stack = {

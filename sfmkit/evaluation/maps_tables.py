@@ -1,4 +1,4 @@
-"""The tables of the benchmark of many views."""
+"""Tables of the benchmark of many views."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _COLUMNS = (
 
 
 def maps_result(rows: Sequence[Row], command: str) -> Result:
-    """One table per scene."""
+    """Make one table per scene."""
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     return Result(
         name="map",
@@ -34,7 +34,7 @@ def maps_result(rows: Sequence[Row], command: str) -> Result:
         tables=tuple(_table(scene, [r for r in rows if r["scene"] == scene]) for scene in scenes),
         seeds=(0,),
         notes=(
-            "All recipes have the same photographs, the same longest side for detection, the same "
+            "All recipes use the same photographs, the same longest side for detection, the same "
             "number of keypoints per operator, all pairs, the same camera and COLMAP's incremental "
             "mapper. Given intrinsics are held fixed.",
             "Error is COLMAP's mean reprojection error, in pixels of the photographs. Positions "

@@ -1,8 +1,8 @@
-"""The Oxford benchmark: homographies of single operators and of their fusion, by the paper's recipe
-and by ours.
+"""Oxford benchmark: homographies of single operators and of their fusion.
 
-Features are detected once per image and matched once per operator; all seeds and recipes use the
-same matches. Rows are appended to ``rows.jsonl`` as they are made, so an interrupted run can be
+They are estimated with the methods of sfmkit and of the paper. Features are detected once per image
+and matched once per operator and pair; all seeds and both methods use the same matches. The rows of
+a pair are appended to ``rows.jsonl`` when the pair is finished, so an interrupted run can be
 resumed.
 """
 
@@ -65,7 +65,7 @@ def bench_oxford(
     shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Run what is missing of the benchmark and return all of its rows.
+    """Run the missing parts of the benchmark and return all of its rows.
 
     Args:
         out: Folder for ``rows.jsonl``.
@@ -80,8 +80,8 @@ def bench_oxford(
 
     Returns:
         Rows of three kinds: ``estimate`` (sequence, pair, operator or ``multi``, recipe, seed ->
-        rmse, corner_error_px, matches, inliers, seconds; rmse and corner_error_px are None where
-        the verdict was too little evidence), ``floor`` (the same for a fit to the fused matches
+        rmse, corner_error_px, matches, inliers, seconds; rmse and corner_error_px are None if
+        the verdict is too little evidence), ``floor`` (the same for a fit to the fused matches
         that agree with the truth within 3 px) and ``features`` (per operator: keypoints,
         matches, repeatability, matching_score, mma, seconds).
 
@@ -156,7 +156,7 @@ def _foreign_plugins(operators: Sequence[str], match: MatchOptions) -> tuple[Plu
 
 @lru_cache(maxsize=8)
 def _first_image(path: Path, operator: str) -> Features:
-    """Features of a sequence's first image, which all of its pairs share."""
+    """Detect features in the first image of a sequence, which all of its pairs share."""
     return detect(read_image(path), operator)
 
 
@@ -262,8 +262,11 @@ def _estimate(
 
 
 def _floor(x1: torch.Tensor, x2: torch.Tensor, H_true: np.ndarray, size_wh: tuple[int, int]) -> Row:
-    """How far from the truth a fit ends that knows it: the truth's own error, and what the matches
-    cannot tell."""
+    """Measure a fit to the matches that agree with the true homography.
+
+    Its error bounds what can be reached with these matches: it contains the error of the ground
+    truth and the errors of the keypoints.
+    """
     T = torch.from_numpy(H_true.copy())
     right = squared_homography_sampson_distance(T, x1, x2) < FLOOR_PX**2
     H = refine_homography(T, x1[right], x2[right], threshold_px=FLOOR_PX).numpy()

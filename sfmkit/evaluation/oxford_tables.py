@@ -19,17 +19,17 @@ from .paper import OXFORD, OXFORD_FIGURES, OXFORD_TABLES
 from .rows import Row
 
 SOLVED_PX = 10.0  # mean corner error below which a pair counts as solved
-SOLVED_PX_OFF = {("boat", "1-6"): 12.0}  # whose truth is itself about 10 pixels off
+SOLVED_PX_OFF = {("boat", "1-6"): 12.0}  # its ground truth is off by about 10 pixels
 
 
 def solved(row: Row) -> bool:
-    """Whether an estimate is right, as far as the truth can tell."""
+    """Return whether the corner error of an estimate is below the limit of its pair."""
     limit = SOLVED_PX_OFF.get((row["sequence"], row["pair"]), SOLVED_PX)
     return row["corner_error_px"] is not None and row["corner_error_px"] < limit
 
 
 def estimates(rows: Sequence[Row], **wanted: object) -> list[Row]:
-    """The rows of estimates whose fields have these values."""
+    """Return the rows of estimates whose fields have these values."""
     return [
         r for r in rows if r["kind"] == "estimate" and all(r[k] == v for k, v in wanted.items())
     ]
@@ -38,15 +38,15 @@ def estimates(rows: Sequence[Row], **wanted: object) -> list[Row]:
 def sequence_rmse(
     rows: Sequence[Row], *, only_solved: bool
 ) -> tuple[float, float, float, int, int]:
-    """Mean RMSE over the pairs, seed by seed.
+    """Compute the mean RMSE over the pairs for every seed.
 
     Args:
-        rows: estimates of one sequence, operator and recipe.
-        only_solved: leave out the pairs that are not; otherwise those without an estimate.
+        rows: Estimates of one sequence, operator and recipe.
+        only_solved: Average over the solved pairs; otherwise over the pairs with an estimate.
 
     Returns:
-        median, lowest and highest over the seeds (NaN without any pair); pairs solved in every
-        seed; pairs.
+        Median, smallest and largest mean over the seeds (NaN without any pair), the number of
+        pairs solved in every seed, and the number of pairs.
     """
     means = []
     for seed in sorted({r["seed"] for r in rows}):
@@ -62,7 +62,7 @@ def sequence_rmse(
 
 
 def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
-    """Tables, and figures drawn into `folder`, of a benchmark's rows."""
+    """Make the tables of the rows, and draw the figures into `folder`."""
     mine = estimates(rows)
     pairs = {(r["sequence"], r["pair"]) for r in mine}
     operators = ", ".join(operators_of(rows)).replace(f"{ALL}, ", "")
@@ -74,27 +74,24 @@ def oxford_result(rows: Sequence[Row], folder: Path, command: str) -> Result:
         figures=tuple(draw_figures(rows, folder)),
         seeds=tuple(sorted({r["seed"] for r in mine})),
         notes=(
-            "The paper gives the RMSE of H in metres. It has no unit: both matrices are scaled "
-            "to h33 = 1, seven of the "
-            "elements are pure numbers or per pixel, and the two translations, in pixels, "
-            "outweigh them all.",
-            "The truth's floor is the error of a fit to the fused matches that agree with the "
-            "truth within "
-            "3 px: an honest estimate does not get far below it.",
+            "The paper gives the RMSE of H in metres, but it has no consistent unit: with h33 = 1, "
+            "two elements of H are translations in pixels, and the other ones are pure numbers or "
+            "per pixel. The translations dominate the RMSE.",
+            "The floor is the error of a fit to the fused matches that agree with the ground "
+            "truth within 3 px. An estimate from these matches cannot be much better.",
         ),
     )
 
 
 def operators_of(rows: Sequence[Row]) -> list[str]:
-    """The operators that were run, all together first."""
+    """List the operators of the rows; all together come first."""
     return sorted(
         dict.fromkeys(r["operator"] for r in estimates(rows)), key=lambda name: name != ALL
     )
 
 
 def tables(rows: Sequence[Row]) -> list[ResultTable]:
-    """One table for each of the paper's Tables 2 to 5 of which there are rows, and what the field
-    measures."""
+    """Make the paper's Tables 2 to 5, as far as there are rows, and tables of standard measures."""
     made = []
     for number, names in OXFORD_TABLES.items():
         here = [name for name in names if estimates(rows, sequence=name)]
@@ -107,7 +104,7 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
     lines: list[tuple[Cell, ...]] = []
     for sequence in sequences:
         floors = [r["rmse"] for r in rows if r["kind"] == FLOOR and r["sequence"] == sequence]
-        lines.append((sequence, "the truth's floor", float(np.mean(floors)), *[None] * 8))
+        lines.append((sequence, "floor of the ground truth", float(np.mean(floors)), *[None] * 8))
         for operator in operators_of(rows):
             mine = estimates(rows, sequence=sequence, operator=operator, recipe=OURS)
             theirs = estimates(rows, sequence=sequence, operator=operator, recipe=PAPERS)
@@ -140,15 +137,15 @@ def _paper_table(rows: Sequence[Row], number: int, sequences: Sequence[str]) -> 
             Column("solved", ">"),
             Column("ours less paper", "+.2f"),
             Column("paper", ".2f", paper=True),
-            Column("its recipe, rerun", ".2f"),
+            Column("paper's method, rerun", ".2f"),
             Column("rerun solved", ">"),
             Column("matches", ",.0f"),
             Column("paper: features", ",", paper=True),
         ),
         tuple(lines),
-        "Ours: mean over the solved pairs, median of the seeds. Its recipe, rerun: the paper's "
-        "recipe on the same matches, "
-        "mean over the pairs with an estimate, right or wrong. Solved: pairs solved in every seed.",
+        "Ours: mean over the solved pairs, median over the seeds. Paper's method, rerun: the "
+        "method of the paper on the same matches, mean over the pairs with an estimate, right or "
+        "wrong. Solved: pairs solved in every seed.",
     )
 
 
@@ -174,17 +171,17 @@ def _corner_table(rows: Sequence[Row]) -> ResultTable:
         Column("operator"),
         Column("recipe"),
         Column("solved in every seed", ">"),
-        Column("wrong, not withheld", ">"),
+        Column("wrong, not refused", ">"),
         *(Column(f"AUC {t} px", ".3f") for t in (1, 3, 5, 10)),
         Column("s per pair", ".2f"),
     )
     note = (
-        f"A pair is solved where the corners are off by less than {SOLVED_PX:g} px in the mean ("
+        f"A pair is solved if its mean corner error is below {SOLVED_PX:g} px ("
         + ", ".join(
-            f"{px:g} px on {' '.join(pair)}, whose truth is itself off"
+            f"{px:g} px on {' '.join(pair)}, whose ground truth is inaccurate"
             for pair, px in SOLVED_PX_OFF.items()
         )
-        + "). AUC: area under the curve of the share of pairs within an error."
+        + "). AUC: area under the cumulative curve of the corner errors."
     )
     return ResultTable("corners", "All pairs: corner error", columns, tuple(lines), note)
 
@@ -218,14 +215,16 @@ def _feature_table(rows: Sequence[Row]) -> ResultTable:
         Column("s per pair", ".2f"),
     )
     note = (
-        "MMA: mean matching accuracy, the share of the matches within that distance of the truth."
+        "MMA: mean matching accuracy, the share of the matches within this distance of the truth."
     )
     return ResultTable("operators", "Operators: means over the pairs", columns, tuple(lines), note)
 
 
 def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
-    """Figures 7 to 10, pair by pair on a log axis, our recipe above and the paper's below, as PNG
-    files."""
+    """Draw Figures 7 to 10 as PNG files, with one bar per pair and operator on a log axis.
+
+    The upper row shows the method of sfmkit, the lower row that of the paper.
+    """
     operators = operators_of(rows)
     drawn = []
     for number, names in OXFORD_FIGURES.items():
@@ -237,7 +236,7 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
         for column, sequence in enumerate(here):
             pairs = sorted({r["pair"] for r in estimates(rows, sequence=sequence)})
             for line, (recipe, title) in enumerate(
-                ((OURS, "ours"), (PAPERS, "the paper's recipe"))
+                ((OURS, "ours"), (PAPERS, "the paper's method"))
             ):
                 ax = axes[line, column]
                 for k, operator in enumerate(operators):
@@ -276,7 +275,8 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
                 ax.grid(axis="y", alpha=0.3)
         axes[0, 0].legend(fontsize=8)
         figure.suptitle(
-            f"Figure {number}: dotted, the truth's floor; no bar, too little evidence", fontsize=10
+            f"Figure {number}; dotted: floor of the ground truth; no bar: too little evidence",
+            fontsize=10,
         )
         file = folder / f"figure{number:02d}.png"
         with atomic_write(file) as temporary:
@@ -286,10 +286,9 @@ def draw_figures(rows: Sequence[Row], folder: Path) -> list[ResultFigure]:
             ResultFigure(
                 f"Figure {number}: RMSE of H, pair by pair, {' and '.join(here)}",
                 file.name,
-                f"Bars on a log axis, one for each operator and pair of {' and '.join(here)}; "
-                "our recipe above, the "
-                "paper's below; dotted, the truth's floor; no bar where there was too little "
-                "evidence",
+                f"Bars on a log axis, one per operator and pair of {' and '.join(here)}. Above: "
+                "the method of sfmkit; below: that of the paper. The dotted line is the floor of "
+                "the ground truth. There is no bar if there was too little evidence.",
             )
         )
     return drawn

@@ -1,8 +1,9 @@
-"""The benchmark of pairs: each operator alone, and all together, on the pairs of any data set.
+"""Benchmark of pairs: each operator alone, and all together, on the pairs of any data set.
 
 The pairs come from a data set, a pair list, a folder, a COLMAP model or a plug-in. A pair of the
-kind ``homography`` is registered, any other pair is a two-view geometry. Each image is searched
-once and each pair matched once per operator; the sets of operators and the seeds share the matches.
+kind ``homography`` is registered; any other pair is estimated as a two-view geometry. Features are
+detected once per image and operator and matched once per pair and operator; all sets of operators
+and all seeds use the same matches.
 """
 
 from __future__ import annotations
@@ -70,30 +71,31 @@ def bench_pairs(
     shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Run what is missing of the benchmark and return all of its rows.
+    """Run the missing parts of the benchmark and return all of its rows.
 
     Args:
-        data: What :func:`sfmkit.datasets.find_source` takes, at least one.
+        data: At least one data set, list or folder, see :func:`sfmkit.datasets.find_source`.
         out: Folder for ``rows.jsonl``.
-        root: The folder of the data sets; for a list or a COLMAP model, of its images.
+        root: Folder of the data sets; for a list or a COLMAP model, the folder of its images.
         operators: At least one; each runs alone, and all together as ``multi``.
-        matchers: The matcher of all operators, or operator -> matcher; None for the preset's.
-        backend: The robust estimator of two-view geometries; None for the preset's.
-        preset: A name of :data:`sfmkit.options.PRESETS`.
-        seeds: Each estimate is made with seeds 0 ... seeds - 1.
-        max_size: Longest side in pixels at which features are searched; None for full size.
+        matchers: Matcher of all operators, or a mapping operator -> matcher; None for those of
+            the preset.
+        backend: Robust estimator of two-view geometries; None for that of the preset.
+        preset: Name in :data:`sfmkit.options.PRESETS`.
+        seeds: Every estimate is repeated with seeds 0 ... seeds - 1.
+        max_size: Longest side, pixels, at which features are detected; None for full size.
         shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
-        progress: Called with (stage, detail) and the fraction that is done.
+        progress: Called with (stage, detail) and the fraction of the pairs that is done.
 
     Returns:
         Rows of two kinds: ``result`` (pair, operator or ``multi``, seed -> verdict, matches,
-        inliers, points, errors, seconds per stage; an error is None where it is infinite or there
-        is no truth) and ``failed`` (pair, operator -> reason). Failed ones are not stored: they
-        run again when the run is resumed.
+        inliers, points, errors, seconds per stage; an error is None if it is infinite or there is
+        no ground truth) and ``failed`` (pair, operator -> reason). Rows of the kind ``failed`` are
+        not stored; these pairs run again when the run is resumed.
 
     Raises:
-        InputError: Data, operators, matchers or an estimator that are unknown or cannot be read, no
-            seeds, or rows in `out` that come from other settings.
+        InputError: Data, an operator, a matcher or the estimator is unknown or cannot be read,
+            `seeds` is less than 1, or the rows in `out` come from other settings.
     """
     check_folder(out)
     if seeds < 1:
@@ -139,7 +141,7 @@ def bench_pairs(
 def find_pairs(
     data: Sequence[str | os.PathLike], root: str | os.PathLike | None = None
 ) -> list[Pair]:
-    """The pairs of all data sets, lists and folders that `data` names, without repetitions.
+    """Collect the pairs of all data sets, lists and folders in `data`, without repetitions.
 
     Raises:
         InputError: One of them is unknown, missing or damaged, or there are no pairs at all.
@@ -151,7 +153,7 @@ def find_pairs(
 
 
 def pose_error(rotation_deg: float, translation_deg: float) -> float:
-    """The larger of both errors, degrees; infinite where one is unknown."""
+    """Return the larger of both errors, degrees; infinity if one of them is unknown."""
     error = max(rotation_deg, translation_deg)
     return error if math.isfinite(rotation_deg + translation_deg) else math.inf
 
@@ -173,7 +175,7 @@ def _has_truth(pair: Pair) -> bool:
 
 
 def _digest(pair: Pair) -> str:
-    """What identifies the work on a pair: its names, the bytes of its images, cameras and truth."""
+    """Identify a pair by a digest of its names, image bytes, cameras and ground truth."""
     digest = hashlib.sha256()
     for image in (pair.image1, pair.image2):
         if isinstance(image, np.ndarray):
@@ -192,7 +194,7 @@ def _digest(pair: Pair) -> str:
 def _evaluate(
     pair: Pair, sets: Sequence[tuple[str, tuple[str, ...]]], options: Options, seeds: int
 ) -> list[Row]:
-    """The rows of some sets of operators: results, or the reason why there are none."""
+    """Compute the rows of sets of operators: results, or the reasons of failures."""
     with collected():
         try:
             images = (read_image(pair.image1), read_image(pair.image2))
@@ -250,8 +252,7 @@ def _estimate(
     seed: int,
     before: Mapping[str, float],
 ) -> Row:
-    """One estimate: what :func:`sfmkit.register` or :func:`sfmkit.reconstruct` does from the
-    matches on."""
+    """Run the stages of :func:`sfmkit.register` or :func:`sfmkit.reconstruct` after matching."""
     watch = Stopwatch(seconds=dict(before))
     row: Row = {"points": None}
     if cameras is None:
@@ -279,9 +280,9 @@ def _estimate(
 
 
 def _homography_errors(pair: Pair, H: np.ndarray | None, size_wh: tuple[int, int]) -> Row:
-    """Check-point error where there are check points, corner error where there is a true H.
+    """Compute the error at the check points and the corner error, as far as they are known.
 
-    ``error`` is the former where both are known.
+    ``error`` is the check-point error if both are known.
     """
     row: Row = {"corner_error_px": None, "check_error_px": None, "error": None}
     if H is None:
@@ -294,7 +295,7 @@ def _homography_errors(pair: Pair, H: np.ndarray | None, size_wh: tuple[int, int
 
 
 def _pose_errors(pair: Pair, view: TwoView) -> Row:
-    """Errors in degrees; of a pair taken from one place, of the rotation only."""
+    """Compute the errors in degrees; only of the rotation if the camera did not move."""
     if pair.R is None or pair.t is None:
         return {"rotation_deg": None, "translation_deg": None, "error": None}
     moved = bool(np.any(pair.t))

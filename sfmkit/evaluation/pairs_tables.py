@@ -1,4 +1,4 @@
-"""Tables of the rows of the benchmark of pairs."""
+"""Tables of the benchmark of pairs."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ STAGES = ("detect", "match", "fuse", "estimate", "refine", "triangulate")
 
 
 def pairs_result(rows: Sequence[Row], command: str) -> Result:
-    """The tables of a benchmark's rows.
+    """Make the tables of the rows.
 
     Args:
-        rows: Of :func:`sfmkit.evaluation.pairs.bench_pairs`.
-        command: What makes them again.
+        rows: Rows of :func:`sfmkit.evaluation.pairs.bench_pairs`.
+        command: Command that reproduces them.
     """
     results = [row for row in rows if row["kind"] == RESULT]
     poses = [row for row in results if row["problem"] == TWO_VIEW]
@@ -53,10 +53,10 @@ def pairs_result(rows: Sequence[Row], command: str) -> Result:
         tables=tuple(tables),
         seeds=tuple(sorted({row["seed"] for row in results})),
         notes=(
-            "A pair counts once per seed. An estimate is refused where the verdict is too little "
-            "evidence; its errors are infinite, and it counts in the medians, shares and areas. "
-            "Pairs that failed, for instance since an image cannot be read, are listed; no other "
-            "figure includes them.",
+            "A pair counts once per seed. An estimate with the verdict too little evidence is "
+            "refused: its errors are infinite, and it counts in the medians, shares and areas. "
+            "Pairs that failed, for instance because an image cannot be read, are listed and not "
+            "included in any other number.",
         ),
     )
 
@@ -74,12 +74,12 @@ def _by_pair(rows: Sequence[Row]) -> Iterable[list[Row]]:
 
 
 def _errors(rows: Sequence[Row], field: str = "error") -> list[float]:
-    """The errors of the pairs with truth; infinite for those without an estimate."""
+    """List the errors of the pairs with ground truth; infinity without an estimate."""
     return [math.inf if row[field] is None else row[field] for row in rows if row["has_truth"]]
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median; None for no values and for an infinite one."""
+    """Return the median; None if there are no values or the median is infinite."""
     found = [value for value in values if value is not None]
     median = float(np.median(found)) if found else math.inf
     return median if math.isfinite(median) else None
@@ -90,7 +90,7 @@ def _share(errors: Sequence[float], limit: float) -> float | None:
 
 
 def _folded_error(row: Row) -> float:
-    """The larger of both errors, with the sign of the translation ignored."""
+    """Return the larger of both errors, ignoring the sign of the translation."""
     rotation, translation = row["rotation_deg"], row["translation_deg"]
     if row["error"] is None or translation is None:
         return math.inf if row["error"] is None else row["error"]

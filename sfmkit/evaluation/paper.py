@@ -1,4 +1,4 @@
-"""The paper's own figures, to stand beside ours.
+"""Numbers of the paper, for comparison.
 
 Dippold & Tsai, "Two-View Structure-from-Motion with Multiple Feature Detector Operators", Tables 2
 to 5.
@@ -50,7 +50,7 @@ OXFORD: dict[str, dict[str, tuple[float, int]]] = {
     },
 }
 
-# Table -> its two sequences; figures 7 to 10 show the same, pair by pair.
+# Table -> its two sequences; figures 7 to 10 show the same results per pair.
 OXFORD_TABLES = {
     2: ("bark", "boat"),
     3: ("bikes", "trees"),
@@ -64,8 +64,8 @@ OXFORD_FIGURES = {
     10: ("leuven", "ubc"),
 }
 
-# Table 6, fountain: operator -> (initial, points, loss in per cent). The single operators' points
-# add up to 26,725, not to the fusion's 27,673: they were run alone.
+# Table 6, fountain: operator -> (initial, points, loss in per cent). The points of the single
+# operators add up to 26,725, not to the 27,673 of the fusion, so they were estimated alone.
 FOUNTAIN: dict[str, tuple[int, int, float]] = {
     "surf": (18_763, 14_093, 24.89),
     "orb": (12_980, 10_266, 20.91),
@@ -74,8 +74,8 @@ FOUNTAIN: dict[str, tuple[int, int, float]] = {
 }
 
 # Tables 7 and 8, drone: (images, minutes, initial points, points of the antenna) of the paper's own
-# method and of MicMac. Of the small shift no times are given; 0.15 minutes is given as "less than"
-# in the text and as ">0.15" in the table.
+# method and of MicMac. The paper gives no times for the small shift. It gives 0.15 minutes as "less
+# than" in the text and as ">0.15" in the table.
 UAV: dict[str, dict[str, tuple[int, float | None, int, int]]] = {
     "small shift": {"this study": (2, None, 75_496, 4378), "MicMac": (31, None, 99_302, 7803)},
     "wide baseline": {

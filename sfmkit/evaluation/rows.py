@@ -1,4 +1,4 @@
-"""Rows of measurements on disk, kept when a run is interrupted."""
+"""Rows of a benchmark in a file, so that an interrupted run can be resumed."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ Row = dict[str, Any]
 
 
 def finite(value: float | None) -> float | None:
-    """The number, or None where it is not finite, which JSON cannot hold."""
+    """Return a finite number unchanged, and None otherwise: JSON has no NaN or infinity."""
     return value if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
 class RowStore:
-    """Rows on disk, one JSON object per line; the first line holds the settings of the run.
+    """A file with one JSON object per line; the first line contains the settings of the run.
 
     A shard writes to a file of its own beside `path`, so several shards can run in one folder.
 
     Attributes:
-        path: The file of a run without shards, such as ``rows.jsonl``.
-        settings: What the rows depend on, JSON values.
+        path: File of a run without shards, such as ``rows.jsonl``.
+        settings: Settings on which the rows depend, as JSON values.
         shard: (i, n) for the file ``rows.i-of-n.jsonl``.
     """
 
@@ -45,7 +45,7 @@ class RowStore:
         return self.path.with_suffix(f".{number}-of-{of}{self.path.suffix}")
 
     def read(self) -> list[Row]:
-        """Return the rows of this run and of all shards so far; start the file if there is none.
+        """Return the stored rows of this run and of all shards; create the file if it is missing.
 
         An incomplete last line, from an interrupted run, is removed from the own file and ignored
         in the others, whose runs may still write.

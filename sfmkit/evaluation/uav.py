@@ -1,5 +1,4 @@
-"""The drone benchmark: small shift and wide baseline, beside a photogrammetry program run on the
-same photographs."""
+"""Drone benchmark: a small shift and a wide baseline, compared with COLMAP and other programs."""
 
 from __future__ import annotations
 
@@ -35,16 +34,18 @@ from .rows import Row, RowStore
 from .settings import plugin_settings
 
 SMALL, WIDE = "small shift", "wide baseline"
-WIDE_STEP = 4  # photographs between those of a wide pair, where there are as many
-PAIR_OF, ALL_OF = "2", "all"  # what COLMAP is given
+WIDE_STEP = 4  # distance of the photographs of a wide pair in the sequence, if it is long enough
+PAIR_OF, ALL_OF = "2", "all"  # photographs that COLMAP reconstructs
 
 Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Flight:
-    """The photographs of a flight, and its pairs case by case; the first pair of each begins with
-    the first photograph."""
+    """The photographs of a flight, its pairs per case, and the camera.
+
+    The first pair of each case starts with the first photograph.
+    """
 
     photographs: tuple[Path, ...]
     cases: dict[str, list[Pair]]
@@ -52,11 +53,16 @@ class Flight:
 
 
 def open_flight(data: str | os.PathLike | None, sequence: str | None, step: int | None) -> Flight:
-    """The photographs of a sequence (None: the first), their camera by EXIF, and the pairs 1 and
-    `step` apart.
+    """Open a sequence of drone photographs, with the camera from EXIF.
+
+    Args:
+        data: Folder of the data sets.
+        sequence: Name of the sequence; None for the first one.
+        step: Distance of the photographs of a wide pair; the other pairs are neighbours.
 
     Raises:
-        InputError: missing data, too few photographs, no focal length in EXIF.
+        InputError: The data are missing, there are too few photographs, `step` is less than 2, or
+            EXIF has no focal length.
     """
     near = list(uav(data, None if sequence is None else [sequence]))
     near = [pair for pair in near if pair.sequence == near[0].sequence]
@@ -72,11 +78,14 @@ def open_flight(data: str | os.PathLike | None, sequence: str | None, step: int 
 
 
 def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
-    """``X0,Y0,X1,Y1`` in pixels of the first photograph; None: the middle third of it in both
-    directions.
+    """Parse a box ``X0,Y0,X1,Y1`` in pixels of the first photograph.
+
+    Args:
+        text: The box; None for the middle third of the photograph in both directions.
+        size_wh: Width and height of the photograph, pixels.
 
     Raises:
-        InputError: not four numbers, an empty box, or one outside the photograph.
+        InputError: The text is not four numbers, or the box is empty or outside the photograph.
     """
     w, h = size_wh
     if text is None:
@@ -99,7 +108,7 @@ def parse_box(text: str | None, size_wh: tuple[int, int]) -> Box:
 
 
 def inside_box(cloud: PointCloud, camera: Camera, box: Box) -> np.ndarray:
-    """(M,) bool: the points in front of camera 1 that the box in its photograph shows."""
+    """Return (M,) bool: points in front of camera 1 that are projected into the box."""
     X = cloud.xyz
     ahead = X[:, 2] > 0
     x = project(torch.where(ahead[:, None], X, torch.ones_like(X)), camera.tensors()[0])
@@ -124,7 +133,7 @@ def bench_uav(
     clouds: Sequence[str | os.PathLike] = (),
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Run what is missing of the benchmark and return all of its rows.
+    """Run the missing parts of the benchmark and return all of its rows.
 
     Args:
         out: Folder for ``rows.jsonl`` and the clouds of the first pairs as PLY.
@@ -146,8 +155,8 @@ def bench_uav(
 
     Returns:
         Rows of three kinds: ``pair`` (case, pair, preset -> verdict, initial, points, target,
-        seconds), ``colmap`` (case, given -> placed, points, target, seconds; ``missing`` where
-        pycolmap is) and ``given`` (file, case -> points, target).
+        seconds), ``colmap`` (case, given -> images, points, target, seconds; ``missing`` if
+        pycolmap is not installed) and ``given`` (file, case -> points, target, note).
 
     Raises:
         InputError: The data are missing, an operator, matcher, estimator or preset is unknown, the
@@ -212,7 +221,7 @@ def bench_uav(
             )
         else:
             row = _colmap_row(case, what, flight, target, out)
-        if "missing" not in row:  # tried again next time
+        if "missing" not in row:  # otherwise COLMAP runs when the benchmark is resumed
             store.append([row])
         rows.append(row)
     rows = [
@@ -226,7 +235,7 @@ def bench_uav(
 
 
 def ply_name(case: str, what: str) -> str:
-    """File of a cloud of a case's first pair, by a preset or by COLMAP."""
+    """Return the file name of a cloud of the first pair of a case, by a preset or COLMAP."""
     return f"{case.replace(' ', '-')}-{what}.ply"
 
 
@@ -292,8 +301,10 @@ def _colmap_row(case: str, given: str, flight: Flight, box: Box, out: Path) -> R
 def _given_rows(
     path: Path, cloud: PointCloud, flight: Flight, presets: Sequence[str], box: Box, out: Path
 ) -> list[Row]:
-    """A cloud of another program, laid over ours of each case, which has the frame of camera 1; its
-    scale is free."""
+    """Register a cloud of another program with the cloud of each case, and count its points.
+
+    The clouds of the cases are in the frame of camera 1. The registration includes the scale.
+    """
     from ..clouds.alignment import align
 
     rows = []
@@ -309,20 +320,20 @@ def _given_rows(
             (out / ply_name(case, p) for p in presets if (out / ply_name(case, p)).exists()), None
         )
         if ours is None:
-            rows.append(row | {"note": "there is no cloud of ours to lay it over"})
+            rows.append(row | {"note": "there is no cloud of sfmkit to register it with"})
             continue
         try:
             found = align(read_ply(ours).xyz.numpy(), cloud.xyz.numpy())
         except SfmError as error:
-            rows.append(row | {"note": f"could not be laid over ours: {error}"})
+            rows.append(row | {"note": f"could not be registered: {error}"})
             continue
         moved = changed(cloud, xyz=found.similarity.apply(cloud.xyz), covariance=None)
         write_ply(out / ply_name(case, f"given-{path.stem}"), moved)
         how = (
-            f"laid over ours, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} "
-            "of it on ours"
+            f"registered, scaled by {float(found.similarity.s):.3g}, {found.overlap[1]:.0%} of it "
+            "overlaps"
         )
-        doubt = "; this is doubtful, check the picture" if found.doubtful else ""
+        doubt = "; doubtful, check the picture" if found.doubtful else ""
         rows.append(
             row | {"target": int(inside_box(moved, flight.camera, box).sum()), "note": how + doubt}
         )

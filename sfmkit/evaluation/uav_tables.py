@@ -1,4 +1,4 @@
-"""The paper's Tables 7 and 8 from the rows of the drone benchmark, with pictures of the clouds."""
+"""The paper's Tables 7 and 8 from rows of the drone benchmark, and pictures of the clouds."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _PRESETS = {
     "dense": "sfmkit, dense preset",
     "paper": "sfmkit, the paper's recipe",
 }
-_PITCH_DEG = -25.0  # of the pictures
-_GREY = 45  # behind the clouds: roads and roofs are pale
+_PITCH_DEG = -25.0  # of the view in the pictures
+_GREY = 45  # background of the clouds; roads and roofs are pale
 _WIDTH = 800  # pixels of a photograph or cloud in the figures
 
 
 def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, command: str) -> Result:
-    """Tables of a benchmark's rows, and figures drawn into `folder`."""
+    """Make the tables of the rows, and draw the figures into `folder`."""
     cases = [case for case in _TABLES if case in flight.cases]
     pair = flight.cases[SMALL][0]
     camera = next(r["camera"] for r in rows if r["kind"] == "pair")
@@ -49,17 +49,15 @@ def uav_result(rows: Sequence[Row], flight: Flight, box: Box, folder: Path, comm
         ),
         seeds=(0,),
         notes=(
-            "The paper's photographs, of an antenna, are not public: its lines are of another "
-            "scene, there to compare the "
-            "kind of figures, not the figures. Its MicMac ran on 31 and 93 photographs.",
-            f"The camera is the photographs' own: {camera}. COLMAP is given the same one and "
-            "holds it; it keeps the points "
-            "that two photographs only show, as ours all are. It leaves out those seen under "
-            "less than 1.5 degrees.",
-            f"Target: the points that the box {', '.join(f'{v:.0f}' for v in box)} of the first "
-            "photograph shows. "
-            "Seconds: from reading the photographs to the cloud, libraries loaded, once, under "
-            "the load stated.",
+            "The photographs of the paper show an antenna and are not public. Its numbers are of "
+            "another scene and cannot be compared directly. The paper ran MicMac on 31 and 93 "
+            "photographs.",
+            f"Source of the camera: {camera}. COLMAP uses the same camera with fixed intrinsics. "
+            "It keeps points seen in only two photographs, because all points of sfmkit are of "
+            "this kind, and drops points with a parallax below 1.5 degrees.",
+            f"Target: points inside the box {', '.join(f'{v:.0f}' for v in box)} of the first "
+            "photograph. Seconds: one run from reading the photographs to the cloud, without "
+            "loading the libraries, on the stated machine and load.",
         ),
     )
 
@@ -77,7 +75,7 @@ def _case_table(rows: Sequence[Row], flight: Flight, case: str) -> ResultTable:
                 lines.append((f"COLMAP, not run: {r['missing']}", None, None, None, None))
                 continue
             placed, given = r["images"]
-            label = "COLMAP" if placed == given else f"COLMAP, {placed} placed"
+            label = "COLMAP" if placed == given else f"COLMAP, {placed} registered"
             lines.append((label, given, sum(r["seconds"].values()), r["points"], r["target"]))
         elif r["kind"] == "given" and r["case"] == case:
             lines.append(
@@ -144,15 +142,14 @@ def _pairs_table(rows: Sequence[Row], cases: Sequence[str]) -> ResultTable:
         Column("seconds", ".1f"),
     )
     note = (
-        "±: the standard deviations that a run states for its own pose, from the noise of the "
-        "pixels alone. There is no truth "
-        "to compare with. Reprojection: root mean square of the cloud's points in both photographs."
+        "±: standard deviations of the pose as computed by the run; there is no ground truth. "
+        "Reprojection: root mean square error of the points in both photographs."
     )
     return ResultTable("pairs", "Every pair", columns, tuple(lines), note)
 
 
 def _draw_target(flight: Flight, box: Box, folder: Path) -> ResultFigure:
-    """The first photograph with the box."""
+    """Draw the first photograph with the box."""
     image = read_image(flight.photographs[0])
     w, h = image.size_wh
     step = max(1, w // _WIDTH)
@@ -169,12 +166,12 @@ def _draw_target(flight: Flight, box: Box, folder: Path) -> ResultFigure:
     return ResultFigure(
         "The target in the first photograph",
         "target.png",
-        "The first photograph, a box around the target",
+        "The first photograph with a box around the target",
     )
 
 
 def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -> ResultFigure:
-    """The clouds of a case's first pair side by side."""
+    """Draw the clouds of the first pair of a case side by side."""
     there = {label: folder / ply_name(case, p) for p, label in _PRESETS.items()}
     there["COLMAP, 2 photographs"] = folder / ply_name(case, "colmap-2")
     there[f"COLMAP, {len(flight.photographs)} photographs"] = folder / ply_name(
@@ -201,7 +198,7 @@ def _draw_clouds(rows: Sequence[Row], flight: Flight, case: str, folder: Path) -
     file = f"clouds-{case.replace(' ', '-')}.png"
     _save(figure, folder / file)
     return ResultFigure(
-        f"The clouds of the {case}, seen obliquely",
+        f"Clouds of the {case}, oblique view",
         file,
         f"Point clouds of the {case}: {', '.join(clouds)}",
     )

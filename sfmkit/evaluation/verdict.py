@@ -1,8 +1,8 @@
-"""The benchmark of verdicts: which poses are accepted, and whether they should be.
+"""Benchmark of verdicts: which poses are accepted, and whether they are correct.
 
-Pairs with and without a solution, from photographs and rendered scenes. The robust estimators of
-other libraries get the same matches, and the usual rule: a pose is accepted if it has at least 15,
-or 30, inliers.
+The pairs, with and without a solution, come from photographs and rendered scenes. The robust
+estimators of other libraries use the same matches and the common rule that a pose is accepted if it
+has at least 15 or 30 inliers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["OURS", "PEERS", "bench_verdict", "matched"]
 OURS = "sfmkit"
 PEERS = {"pycolmap": "pycolmap", "poselib": "PoseLib", "opencv": "OpenCV MAGSAC++"}
 BUDGET = 2_000  # keypoints per operator and photograph
-_ROUND = 24  # pairs handed to a process at a time: they share photographs
+_ROUND = 24  # pairs per task of a process; consecutive pairs share photographs
 
 
 def bench_verdict(
@@ -52,25 +52,25 @@ def bench_verdict(
     shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Run what is missing of the benchmark and return all of its rows.
+    """Run the missing parts of the benchmark and return all of its rows.
 
     Args:
         out: Folder for ``rows.jsonl`` and the rendered photographs.
-        data: The folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
-        groups: Only groups of pairs whose names begin with one of these; None for all.
-        operators: The operators; all estimators get their fused matches.
-        workers: Processes; None for one per core.
+        data: Folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
+        groups: Run only groups of pairs whose names start with one of these; None for all.
+        operators: Operators whose fused matches all estimators use.
+        workers: Number of processes; None for one per core.
         shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
-        progress: Called with (stage, detail) and the fraction that is done.
+        progress: Called with (stage, detail) and the fraction of the pairs that is done.
 
     Returns:
         One row per pair and method: group, pair, solvable, has_truth, method, verdict (of sfmkit),
-        inliers, score (larger is more certain), rotation_deg and translation_deg (None where there
-        is no truth or no pose), seconds; ``pose`` is whether a pose was given.
+        inliers, score (larger is more certain), rotation_deg and translation_deg (None without
+        ground truth or pose), seconds; ``pose`` is whether the method returned a pose.
 
     Raises:
-        InputError: Data or an operator is missing, a peer is not installed, no group has such a
-            name, or rows in `out` come from other settings.
+        InputError: Data or an operator is missing, one of the other libraries is not installed, no
+            group has such a name, or the rows in `out` come from other settings.
     """
     check_folder(out)
     operators = choose_operators(operators)
@@ -100,7 +100,7 @@ def bench_verdict(
 def _evaluated(
     pairs: list[BenchPair], operators: tuple[str, ...], workers: int
 ) -> Iterable[tuple[int, list[Row]]]:
-    """Rows of parts of the pairs as they are finished, with the number of finished pairs."""
+    """Yield rows in the order in which they are finished, and the number of finished pairs."""
     parts = [pairs[k : k + _ROUND] for k in range(0, len(pairs), _ROUND)]
     done = 0
     if workers == 1:
@@ -121,7 +121,7 @@ def _evaluate_part(pairs: list[BenchPair], operators: tuple[str, ...]) -> list[R
 
 
 class _Key:
-    """A photograph as the key of a cache: two of one name have the same pixels."""
+    """A photograph as the key of a cache; photographs with equal names have equal pixels."""
 
     def __init__(self, view: BenchView) -> None:
         self.view, self.name = view, (view.scene, view.name)
@@ -141,7 +141,7 @@ def _features(key: _Key, operator: str) -> Features:
 def matched(
     pair: BenchPair, operators: Sequence[str]
 ) -> tuple[Correspondences, dict[str, tuple[Features, Features]]]:
-    """The fused matches of a pair and the features that they come from."""
+    """Return the fused matches of a pair, and the features from which they were computed."""
     one, two = _Key(pair.view1), _Key(pair.view2)
     features = {name: (_features(one, name), _features(two, name)) for name in operators}
     corr = fuse_all(features, match_all(features, DEFAULT.match), DEFAULT.fuse)
@@ -149,7 +149,7 @@ def matched(
 
 
 def evaluate_pair(pair: BenchPair, operators: Sequence[str]) -> list[Row]:
-    """The rows of all methods on the same matches."""
+    """Compute the rows of all methods from the same matches."""
     corr, _ = matched(pair, operators)
     cameras = pair.view1.camera, pair.view2.camera
     where = {
@@ -210,7 +210,7 @@ def evaluate_pair(pair: BenchPair, operators: Sequence[str]) -> list[Row]:
 
 
 def certainty(view: TwoView) -> float:
-    """How certain sfmkit is of a pose: digits of the expected number of false alarms."""
+    """Return minus the logarithm of the expected number of false alarms, base 10."""
     nfa = view.evidence.get("log10_false_alarms", 0.0)
     return -float(nfa) if finite(float(nfa)) is not None else 0.0
 

@@ -1,4 +1,4 @@
-"""The ROC figure of the benchmark of verdicts."""
+"""ROC figure of the benchmark of verdicts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Point = tuple[int, float]
 
 @dataclass(frozen=True)
 class Curve:
-    """A method's curve.
+    """The ROC curve of a method.
 
     Attributes:
-        name: Of the method.
-        points: Wrong poses accepted, share of the solved pairs accepted with the right pose; from
-            strict to lenient.
-        marks: Label and point of the method's own rules.
+        name: Name of the method.
+        points: Number of accepted wrong poses, and share of the solved pairs that are accepted with
+            the right pose, from strict to lenient acceptance.
+        marks: Label and point of each rule of the method.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Curve:
 
 
 def draw_roc(path: Path, curves: Sequence[Curve]) -> None:
-    """Draw right poses over wrong poses, with a logarithmic axis beyond ten wrong ones, as PNG."""
+    """Draw right poses over wrong poses as PNG; the axis is logarithmic above ten wrong poses."""
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     ax = figure.subplots()
     ax.set_xscale("symlog", linthresh=10)

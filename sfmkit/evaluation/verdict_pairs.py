@@ -1,4 +1,4 @@
-"""The pairs of the benchmark of verdicts: what has a solution, and what has none."""
+"""Pairs of the benchmark of verdicts, with and without a solution."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["BenchPair", "bench_pairs_of_verdicts"]
 
 FOUNTAIN_STEPS, TEMPLE_STEPS, TEMPLE_FAR = (1, 2, 3, 4, 5), (1, 2), (3, 4, 6, 8)
 ACROSS = 160  # pairs of different scenes
-OVERLAPPING = 0.5  # least overlap of a pair of repeated texture that counts as solvable
-MOST_HALF = 0.45  # of the width: each of two disjoint parts
+OVERLAPPING = 0.5  # smallest overlap with which a pair of repeated texture counts as solvable
+MOST_HALF = 0.45  # width of each of two disjoint parts over the width of the photograph
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +25,11 @@ class BenchPair:
     """Two photographs and what is known about them.
 
     Attributes:
-        group: The line of the table.
-        solvable: Whether the photographs show enough of one scene. A pose of other pairs is only
-            right by chance.
+        group: Group of the pair, a line of the table.
+        solvable: Whether the photographs overlap enough. A pose of any other pair is right only by
+            chance.
         view1, view2: The photographs.
-        truth: R, t with ``X2 = R X1 + t``, None where there is no true pose or it is not known.
+        truth: R, t with ``X2 = R X1 + t``; None if there is no true pose or it is unknown.
     """
 
     group: str
@@ -40,7 +40,7 @@ class BenchPair:
 
     @property
     def name(self) -> str:
-        """Unique within the benchmark."""
+        """A name that is unique in the benchmark."""
         one, two = self.view1, self.view2
         return f"{self.group}: {one.scene} {one.name}, {two.scene} {two.name}"
 
@@ -56,11 +56,11 @@ def _pair(group: str, solvable: bool, view1: BenchView, view2: BenchView) -> Ben
 
 
 def bench_pairs_of_verdicts(data: str | os.PathLike | None, folder: Path) -> list[BenchPair]:
-    """All pairs of the benchmark.
+    """List all pairs of the benchmark.
 
     Args:
-        data: The folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
-        folder: Where rendered photographs are stored.
+        data: Folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
+        folder: Folder in which rendered photographs are stored.
 
     Raises:
         InputError: A data set is missing or damaged.
@@ -117,7 +117,7 @@ def _of_repeated(views: list[BenchView]) -> Iterator[BenchPair]:
 
 
 def _across(views: list[BenchView]) -> Iterator[BenchPair]:
-    """Pairs of different scenes, drawn with a fixed seed; each scene is as likely as any other."""
+    """Draw pairs of different scenes with a fixed seed; all scenes are equally likely."""
     rng = np.random.default_rng(0)
     by_scene: dict[str, list[BenchView]] = {}
     for view in views:
@@ -133,7 +133,7 @@ def _across(views: list[BenchView]) -> Iterator[BenchPair]:
 
 
 def _of_one(view: BenchView, axis: int) -> Iterator[BenchPair]:
-    """A photograph against its mirror image, and its left part against its right part."""
+    """Pair a photograph with its mirror image, and its left part with its right part."""
     yield _pair("mirrored", False, view, view.mirrored(f"{view.name} mirrored", axis))
     w = view.camera.size_wh[0]
     part = int(MOST_HALF * w)

@@ -26,8 +26,8 @@ class Rule:
     """A method and how it accepts a pose.
 
     Attributes:
-        method: As in the rows.
-        least: Least number of inliers; None for sfmkit's verdict.
+        method: Name of the method in the rows.
+        least: Smallest number of inliers; None for the verdict of sfmkit.
     """
 
     method: str
@@ -35,31 +35,30 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """As it is printed."""
+        """The name in tables."""
         return self.method if self.least is None else f"{self.method}, {self.least} inliers"
 
     def accepts(self, row: Row) -> bool:
-        """Whether the pose of a row is accepted without reservation."""
+        """Return whether the pose of a row is accepted; ambiguous poses are not."""
         if self.least is None:
             return row["pose"] and not is_ambiguous(row)
         return row["pose"] and row["inliers"] >= self.least
 
 
 def rules() -> list[Rule]:
-    """sfmkit's verdict, and the numbers of inliers for every peer."""
+    """List the rules: the verdict of sfmkit, and the inlier thresholds of each other method."""
     return [Rule(OURS), *(Rule(name, k) for name in PEERS.values() for k in LEAST_INLIERS)]
 
 
 def is_ambiguous(row: Row) -> bool:
-    """Whether the pose of a row comes with the verdict ``ambiguous``."""
+    """Return whether the verdict of a row is ``ambiguous``."""
     return row["verdict"] == Verdict.AMBIGUOUS
 
 
 def quality(row: Row) -> str:
-    """Whether the pose of a row is right, near, wrong or cannot be judged.
+    """Classify the pose of a row as right, near, wrong or unknown.
 
-    A pose of a pair without a true one is wrong, except where the pair has a solution that is not
-    known.
+    A pose of a pair without a true pose is wrong, unless the pair has a solution that is unknown.
     """
     if not row["has_truth"]:
         return UNKNOWN if row["solvable"] else WRONG
@@ -68,17 +67,17 @@ def quality(row: Row) -> str:
 
 
 def solved_pairs(rows: Sequence[Row]) -> set[str]:
-    """The pairs of which any method found the right pose, accepted or not."""
+    """Return the pairs for which any method found the right pose, accepted or not."""
     return {row["pair"] for row in rows if row["pose"] and quality(row) == RIGHT}
 
 
 def verdict_result(rows: Sequence[Row], folder: str | os.PathLike, command: str) -> Result:
-    """The tables of a benchmark's rows, and its figure, drawn into `folder`.
+    """Make the tables of the rows, and draw the figure into `folder`.
 
     Args:
-        rows: Of :func:`sfmkit.evaluation.verdict.bench_verdict`.
-        folder: Of the figure ``roc.png``.
-        command: What makes them again.
+        rows: Rows of :func:`sfmkit.evaluation.verdict.bench_verdict`.
+        folder: Folder of the figure ``roc.png``.
+        command: Command that reproduces them.
     """
     solved = solved_pairs(rows)
     draw_roc(Path(folder) / ROC, _curves(rows, solved))
@@ -96,10 +95,10 @@ def verdict_result(rows: Sequence[Row], folder: str | os.PathLike, command: str)
             ),
         ),
         notes=(
-            f"A pose is right where rotation and direction of the translation are within "
-            f"{RIGHT_DEG:g} degrees, and wrong beyond {WRONG_DEG:g} degrees or where there is no "
+            f"A pose is right if the rotation and the direction of the translation are within "
+            f"{RIGHT_DEG:g} degrees, and wrong beyond {WRONG_DEG:g} degrees or if there is no "
             "true pose. All methods get the same matches and an inlier threshold of 1 px. A pair "
-            "is solved where any method finds the right pose, accepted or not.",
+            "is solved if any method finds the right pose, accepted or not.",
         ),
     )
 
@@ -188,7 +187,7 @@ def _groups(rows: Sequence[Row], solved: set[str]) -> ResultTable:
 
 
 def _curves(rows: Sequence[Row], solved: set[str]) -> list[Curve]:
-    """Per method, the counts of wrong and shares of right poses as acceptance becomes lenient."""
+    """Compute the ROC curve of each method, from strict to lenient acceptance."""
     curves = []
     for method in (OURS, *PEERS.values()):
         mine = [row for row in rows if row["method"] == method and row["pose"]]

@@ -1,4 +1,4 @@
-"""The photographs of the benchmark of verdicts, reduced, with cameras and poses.
+"""Photographs of the benchmark of verdicts, reduced in size, with cameras and poses.
 
 Rendered photographs are stored in the folder of the benchmark, so that each is rendered once.
 """
@@ -29,7 +29,7 @@ from ..types import Camera
 
 __all__ = ["BenchView", "overlap", "photographs", "rendered", "repeated", "temple"]
 
-LONGEST = 512  # pixels of a reduced photograph
+LONGEST = 512  # longest side of a reduced photograph, pixels
 RENDERED_WH = (480, 360)
 VARIATIONS = (0.0, 0.3, 1.0)
 _COARSE_WH = (48, 36)  # grid on which the overlap of two rendered views is measured
@@ -42,10 +42,10 @@ class BenchView:
     """A photograph of the benchmark.
 
     Attributes:
-        scene, name: Where it belongs; poses of one scene are comparable.
+        scene, name: Scene and name of the photograph; poses of one scene have a common frame.
         image: (H, W, 3) uint8.
         camera: Its intrinsics.
-        pose: R, t with ``x_cam = R X + t``, None where it is not known.
+        pose: R, t with ``x_cam = R X + t``; None if it is unknown.
         rendering: Scene and pose of a rendered photograph.
     """
 
@@ -57,7 +57,7 @@ class BenchView:
     rendering: tuple[Scene, Pose] | None = None
 
     def cropped(self, name: str, left: int, right: int) -> BenchView:
-        """The columns from `left` to before `right`, without a pose."""
+        """Crop to the columns from `left` (inclusive) to `right` (exclusive), without a pose."""
         K = self.camera.K.copy()
         K[0, 2] -= left
         image = np.ascontiguousarray(self.image[:, left:right])
@@ -65,7 +65,7 @@ class BenchView:
         return replace(self, name=name, image=image, camera=camera, pose=None, rendering=None)
 
     def mirrored(self, name: str, axis: int) -> BenchView:
-        """The mirror image, left to right for axis 1 and upside down for axis 0."""
+        """Mirror the photograph: left to right for axis 1, upside down for axis 0."""
         K, (w, h) = self.camera.K.copy(), self.camera.size_wh
         k = 0 if axis == 1 else 1
         K[k, 2] = (w, h)[k] - 1 - K[k, 2]
@@ -88,7 +88,7 @@ def _reduced(
 
 
 def photographs(data: str | os.PathLike | None) -> dict[str, list[BenchView]]:
-    """Fountain, temple ring, drone and the first images of the Oxford sequences, by scene."""
+    """Read fountain, temple ring, drone and the first images of the Oxford set, by scene."""
     views = {"fountain": fountain(data), "temple": temple(data), "drone": drone(data)}
     for pair in oxford(data):
         if pair.sequence not in views:
@@ -97,7 +97,7 @@ def photographs(data: str | os.PathLike | None) -> dict[str, list[BenchView]]:
 
 
 def fountain(data: str | os.PathLike | None) -> list[BenchView]:
-    """The eleven views of the EPFL fountain, in the order along the arc."""
+    """Read the eleven views of the EPFL fountain in their order along the arc."""
     pairs = list(strecha(data, ["fountain-P11"]))
     files = [pairs[0].image1, *(pair.image2 for pair in pairs)]
     cameras = [pairs[0].camera1, *(pair.camera2 for pair in pairs)]
@@ -111,7 +111,7 @@ def fountain(data: str | os.PathLike | None) -> list[BenchView]:
 
 
 def temple(data: str | os.PathLike | None) -> list[BenchView]:
-    """The temple ring in its order, without the second of two photographs from one place."""
+    """Read the temple ring in order, without the second of two photographs from one position."""
     ring = temple_ring(data)
     different = [v for v, before in zip(ring, (ring[-1], *ring)) if not np.allclose(v.t, before.t)]
     return [
@@ -121,7 +121,7 @@ def temple(data: str | os.PathLike | None) -> list[BenchView]:
 
 
 def drone(data: str | os.PathLike | None) -> list[BenchView]:
-    """The photographs of the first flight, with cameras from EXIF and without poses."""
+    """Read the photographs of the first flight, with cameras from EXIF and without poses."""
     pairs = list(uav(data))
     pairs = [pair for pair in pairs if pair.sequence == pairs[0].sequence]
     files = [pairs[0].image1, *(pair.image2 for pair in pairs)]
@@ -133,7 +133,7 @@ def drone(data: str | os.PathLike | None) -> list[BenchView]:
 
 
 def rendered(folder: Path) -> Iterator[tuple[str, BenchView, BenchView]]:
-    """The two views of each named scene."""
+    """Render or read the two views of each named scene."""
     for name in SCENES:
         scene = SCENES[name]()
         first, second = (
@@ -144,7 +144,7 @@ def rendered(folder: Path) -> Iterator[tuple[str, BenchView, BenchView]]:
 
 
 def repeated(folder: Path) -> Iterator[list[BenchView]]:
-    """The views of each scene of repeated texture."""
+    """Render or read the views of each scene of repeated texture."""
     for kind in KINDS:
         for variation in VARIATIONS:
             scene = repeated_scene(kind, variation)
@@ -173,16 +173,16 @@ def _rendered(folder: Path, scene: str, name: str, model: Scene, pose: Pose) -> 
 
 @cache
 def _points(scene: Scene, pose: Pose) -> np.ndarray:
-    """(N, 3) points in the world that a coarse image sees."""
+    """Return the (N, 3) world points seen on a coarse pixel grid."""
     _, points = geometry(scene, pose, scene.K(_COARSE_WH), _COARSE_WH)
     X = points.reshape(-1, 3)
     return X[np.isfinite(X).all(1)] @ pose.R + pose.centre
 
 
 def overlap(view1: BenchView, view2: BenchView) -> float:
-    """Share of the points seen in each view that lie within the other one, the smaller share.
+    """Compute the overlap of two views: the share of each view's points inside the other one.
 
-    Occlusion is not considered.
+    The smaller share is returned. Occlusion is ignored.
     """
     assert view1.rendering is not None
     assert view2.rendering is not None

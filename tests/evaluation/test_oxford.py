@@ -75,7 +75,7 @@ def test_rows_are_complete_resumable_and_right(small_set, tmp_path):
     *_, every, of = sequence_rmse(ours, only_solved=True)
     assert (every, of) == (4, 5)
     assert [row[1] for row in tables(rows)[0].rows] == [
-        "the truth's floor",
+        "floor of the ground truth",
         "multi",
         "orb",
         "fast-brief",
