@@ -33,13 +33,13 @@ for _reader in (oxford, hpatches, strecha, uav, synthetic, planes):
 def pairs(
     data: str | os.PathLike, root: str | os.PathLike | None = None, **options: Any
 ) -> Iterable[Pair]:
-    """The pairs of a data set, a pair list, a COLMAP model or a folder of photographs.
+    """Yield the pairs of a data set, a pair list, a COLMAP model or a folder of photographs.
 
     Args:
         data: See :func:`sfmkit.datasets.find_source`: a name (``oxford``, ``oxford:graf+wall``), an
             import path (``mypackage.mine:pairs``), or the path of a list or folder.
-        root: The folder that holds the data set; None: the environment variable ``SFMKIT_DATA``,
-            or what was fetched. For a list or a model: the folder of its images.
+        root: Folder that contains the data set; None for the environment variable ``SFMKIT_DATA``
+            or the folder of downloads. For a list or a model, the folder of its images.
         options: Further arguments of the reader, such as ``sequences`` or ``step``.
 
     Raises:

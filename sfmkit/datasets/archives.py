@@ -1,4 +1,4 @@
-"""Unpack downloaded archives: nothing outside the folder, no links, no more than expected."""
+"""Safe extraction of downloaded archives: no paths outside the folder, no links, bounded size."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def unpack(archive: Path, folder: Path, *, max_files: int, max_bytes: int) -> Pa
     """Unpack a tar (plain, gz, bz2, xz) or zip archive into an existing folder.
 
     Args:
-        archive: The file.
-        folder: An empty folder, to be removed by the caller after an error.
-        max_files, max_bytes: Largest number of files, and of bytes in all of them.
+        archive: Path of the archive.
+        folder: An empty folder; after an error the caller removes it.
+        max_files, max_bytes: Largest number of files, and largest number of bytes of all files.
 
     Returns:
-        `folder`, or the only folder in it where the archive holds just one.
+        `folder`, or its only subfolder if the archive contains just one folder.
 
     Raises:
-        InputError: The file is not an archive or is damaged; it holds links, devices or names that
-            lead out of the folder, or more than the limits allow.
+        InputError: The file is not an archive or is damaged, it contains links, devices or names
+            that point outside the folder, or it exceeds the limits.
         OSError: The disk is full or `folder` cannot be written.
     """
     count = total = 0
@@ -115,7 +115,7 @@ def _check_name(archive: Path, name: str) -> None:
 
 
 def _target(folder: Path, name: str) -> Path | None:
-    """The path of the unpacked file; None for metadata that desktops add to archives."""
+    """Return the path of the unpacked file; None for metadata added by desktop systems."""
     parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part != "."]
     if (
         not parts

@@ -1,8 +1,8 @@
-"""The public data sets: where they come from, on what terms, and what their files must hold.
+"""Catalogue of the public data sets: addresses, terms of use and checksums.
 
-No home page publishes checksums, so the contents are pinned in ``checksums.json`` from copies in
-use: a photograph by its decoded pixels where the format is lossless (a PNG of it is the same
-photograph), by its bytes where it is not, a text file by its words.
+The home pages publish no checksums, so ``checksums.json`` contains those of copies in use. The
+checksum of a lossless image covers its decoded pixels, so a converted copy (such as PNG) passes.
+The checksum of a lossy image covers its bytes, that of a text file its words.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ MB = 1 << 20
 
 @dataclass(frozen=True)
 class Download:
-    """One file to fetch.
+    """A file to download.
 
     Attributes:
-        urls: the address and its mirrors, tried in this order.
-        folder: where its contents belong, below the data set's folder.
-        archive: a tar or zip archive, to be unpacked; otherwise the file itself is wanted.
-        max_files, max_bytes: the archive may unpack to no more.
-        sha256: of the file itself; None where only the contents are pinned, or nothing.
+        urls: Address and mirrors, tried in this order.
+        folder: Destination of the contents, relative to the folder of the data set.
+        archive: Whether the file is a tar or zip archive to unpack.
+        max_files, max_bytes: Largest number and total size of the files in the archive.
+        sha256: Checksum of the file; None if only its contents have checksums, or if there is none.
     """
 
     urls: tuple[str, ...]
@@ -52,10 +52,10 @@ class DatasetSpec:
     """A data set that can be fetched.
 
     Attributes:
-        name: its folder.
-        title, home, terms, citation: to be printed before a download.
-        size_mb: about how much is downloaded.
-        downloads: the files.
+        name: Name of the data set and of its folder.
+        title, home, terms, citation: Texts that are printed before a download.
+        size_mb: Approximate size of the download, megabytes.
+        downloads: Files to download.
     """
 
     name: str
@@ -68,8 +68,10 @@ class DatasetSpec:
 
     @property
     def pins(self) -> Mapping[str, str]:
-        """Relative path without suffix for images, with it for other files -> ``pixels:``,
-        ``bytes:`` or ``words:`` sha256."""
+        """Relative path -> ``pixels:``, ``bytes:`` or ``words:`` and the sha256.
+
+        Paths of images have no suffix.
+        """
         return _checksums().get(self.name, {})
 
 
@@ -154,10 +156,10 @@ DATASETS: Mapping[str, DatasetSpec] = {
 
 
 def dataset_spec(name: str) -> DatasetSpec:
-    """The data set of this name.
+    """Return the data set with this name.
 
     Raises:
-        InputError: there is none.
+        InputError: There is no such data set.
     """
     if name not in DATASETS:
         raise InputError(
@@ -171,15 +173,15 @@ _LOSSY = (".jpg", ".jpeg")
 
 
 def pin_name(file: PurePath) -> str:
-    """Under what name a file's contents are pinned: lossless images whatever their format."""
+    """Return the key of a file in the checksums; lossless images have no suffix."""
     return file.with_suffix("").as_posix() if file.suffix.lower() in _LOSSLESS else file.as_posix()
 
 
 def fingerprint(file: Path) -> str:
-    """``pixels:``, ``bytes:`` or ``words:`` and the sha256 of what the file holds.
+    """Compute the checksum of a file: ``pixels:``, ``bytes:`` or ``words:`` and a sha256.
 
     Raises:
-        ImageError: an image that cannot be decoded.
+        ImageError: An image cannot be decoded.
     """
     suffix = file.suffix.lower()
     if suffix in _LOSSLESS:
@@ -197,12 +199,12 @@ def fingerprint(file: Path) -> str:
 
 
 def check_folder(spec: DatasetSpec, root: Path, part: str = "") -> list[str]:
-    """What is wrong with the files of a data set: missing or changed, a line each.
+    """List the files of a data set that are missing or changed, one message per file.
 
     Args:
-        root: the folder of the data set, or of its `part`.
-        part: path of the folder or file below the data set's folder that is looked at; empty for
-            all of it.
+        root: Folder of the data set, or of its `part`.
+        part: Path of a folder or file to check, relative to the folder of the data set; empty for
+            the whole data set.
     """
     files_in = [root] if root.is_file() else sorted(f for f in root.rglob("*") if f.is_file())
     have = {pin_name(PurePath(part) / f.relative_to(root)): f for f in files_in}

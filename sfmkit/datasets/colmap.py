@@ -1,4 +1,4 @@
-"""A COLMAP model with its photographs as a data set: cameras and poses from the reconstruction."""
+"""A COLMAP model as a data set, with cameras and poses from the reconstruction."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ def colmap(
     """Yield the pairs of a COLMAP model, text or binary, with cameras and poses.
 
     Args:
-        root: A folder with ``cameras`` and ``images`` as ``.txt`` or ``.bin``, or with such a model
+        root: Folder with ``cameras`` and ``images`` as ``.txt`` or ``.bin``, or with such a model
             in ``sparse`` or ``sparse/0``.
         sequences: ``consecutive`` (the default: each image with the next one, in natural order of
-            the names) or ``all`` (every two).
-        images: The folder that holds the images; None: ``images`` beside or above the model, or the
-            model's own folder.
+            the names) or ``all`` (all pairs).
+        images: Folder of the images; None for ``images`` beside or above the model, or the folder
+            of the model itself.
 
     Raises:
-        InputError: A file is missing or malformed, an image has a camera whose model is not
-            supported, an image is missing or its name leads out of the folder, or there are fewer
-            than two images.
+        InputError: A file is missing or malformed, a camera model is not supported, an image is
+            missing or its name points outside the folder, or there are fewer than two images.
     """
     model = model_folder(Path(root))
     if model is None:
@@ -55,7 +54,7 @@ def colmap(
 
 
 def model_folder(path: Path) -> Path | None:
-    """The folder of the model at or below `path`; None where there is none."""
+    """Return the folder of the model at or below `path`, or None."""
     for folder in (path, path / "sparse", path / "sparse" / "0"):
         if model_suffix(folder):
             return folder
@@ -63,10 +62,10 @@ def model_folder(path: Path) -> Path | None:
 
 
 def _image_folder(model: Path, names: Sequence[str], images: str | os.PathLike | None) -> Path:
-    """The folder that holds all images of the model.
+    """Find the folder that contains all images of the model.
 
     Raises:
-        InputError: None of the candidates holds them, or a name leads out of it.
+        InputError: None of the candidates contains them, or a name points outside the folder.
     """
     beside = [model / "images", model.parent / "images", model.parent.parent / "images", model]
     candidates = beside if images is None else [Path(images)]

@@ -1,4 +1,4 @@
-"""Fetching data sets: with mirrors, resumable, checked, and nothing half-extracted left behind."""
+"""Download of data sets: mirrors, resumption, verification and atomic installation."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ _TIMEOUT_S = 30
 def fetch(
     spec: DatasetSpec, data: str | os.PathLike | None = None, progress: Progress | None = None
 ) -> Path:
-    """Download what is missing of a data set, check it, and put it in place.
+    """Download the missing files of a data set, verify and install them.
 
-    Files that are there and right are left alone. An interrupted download is resumed.
+    Correct files are kept unchanged. An interrupted download is resumed.
 
     Args:
-        data: the folder to put the data set's folder into; None for ``sfmkit`` in the user's cache
-            folder.
-        progress: called with (``download``, file) and the fraction of the file that is there.
+        spec: Data set to download.
+        data: Folder that will contain the folder of the data set; None for ``sfmkit`` in the user's
+            cache folder.
+        progress: Called with (``download``, file) and the fraction of the file that is downloaded.
 
     Returns:
-        the data set's folder.
+        The folder of the data set.
 
     Raises:
-        InputError: no address answers, or what comes is damaged or something else; nothing of it is
-            kept.
-        OutputError: the folder cannot be written.
+        InputError: No address can be reached, or the download is damaged or has other contents; it
+            is not kept.
+        OutputError: The folder cannot be written.
     """
     pooch.get_logger().setLevel("WARNING")
     root = (download_folder() if data is None else Path(data)) / spec.name
@@ -61,7 +62,7 @@ def fetch(
 
 
 def _present(spec: DatasetSpec, item: Download, root: Path) -> bool:
-    """Whether what the download would bring is there, and right as far as it is pinned."""
+    """Return whether the files of a download exist and match their checksums."""
     there = root / item.folder
     if not there.exists() or (there.is_dir() and not any(there.iterdir())):
         return False
@@ -69,7 +70,7 @@ def _present(spec: DatasetSpec, item: Download, root: Path) -> bool:
 
 
 def _install(spec: DatasetSpec, item: Download, file: Path, root: Path) -> None:
-    """Check what came, and move it to its place only if it is right."""
+    """Verify a download, and move it to its destination if it is correct."""
     target = root / item.folder
     if not item.archive:
         _check(spec, item, file, file)
@@ -88,24 +89,24 @@ def _check(spec: DatasetSpec, item: Download, file: Path, contents: Path) -> Non
     wrong = check_folder(spec, contents, item.folder)
     if wrong:
         raise InputError(
-            f"{file.name} is not what it should be, and is not kept: {len(wrong)} of its files "
+            f"{file.name} has unexpected contents and is not kept: {len(wrong)} of its files "
             "are missing or differ, "
             f"e.g. {wrong[0]}"
         )
 
 
 def download(item: Download, store: Path, progress: Progress | None = None) -> Path:
-    """The file of a download, from the first of its addresses that has it.
+    """Download a file from the first of its addresses that provides it.
 
     Raises:
-        InputError: none has it, or its checksum is wrong.
+        InputError: No address provides it, or its checksum is wrong.
     """
     name = item.urls[0].rsplit("/", 1)[-1]
     failures = []
     for url in item.urls:
         part = store / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}.part"
         try:
-            # pooch compares the checksum, and moves the file into place only if it is right.
+            # pooch verifies the checksum, and moves only a correct file to its destination.
             return Path(
                 pooch.retrieve(
                     url,
@@ -124,13 +125,13 @@ def download(item: Download, store: Path, progress: Progress | None = None) -> P
     raise InputError(
         f"{name} could not be fetched: "
         + "; ".join(failures)
-        + ". Run the command again to go on where it stopped; "
+        + ". Run the command again to resume; "
         f"off-line, point --data or {VARIABLE} to a copy"
     )
 
 
 class _Resuming:
-    """A downloader for pooch that keeps what came before an interruption, and asks for the rest."""
+    """A downloader for pooch that resumes interrupted downloads."""
 
     def __init__(self, part: Path, progress: Progress | None):
         self.part, self.progress = part, progress
@@ -143,7 +144,7 @@ class _Resuming:
         with requests.get(url, headers=headers, stream=True, timeout=_TIMEOUT_S) as answer:
             if (
                 answer.status_code == 416
-            ):  # nothing after what we have, or the file has changed: begin again
+            ):  # no data after the partial file, or another file: start again
                 self.part.unlink()
                 return self(url, output_file, pooch_)
             answer.raise_for_status()
@@ -151,7 +152,7 @@ class _Resuming:
                 done = 0
             length = answer.headers.get("Content-Length")
             total = None if length is None else done + int(length)
-            # An interrupted connection shows below, in what is missing.
+            # An interrupted connection is detected below by the missing bytes.
             with self.part.open("ab" if done else "wb") as out, suppress(requests.RequestException):
                 for chunk in answer.iter_content(_CHUNK):
                     out.write(chunk)

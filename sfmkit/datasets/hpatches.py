@@ -1,6 +1,6 @@
 """The full image sequences of HPatches, each with six images and five homographies.
 
-Folders ``v_*`` change the viewpoint, folders ``i_*`` the illumination.
+The viewpoint changes in folders ``v_*``, the illumination in folders ``i_*``.
 
 Balntas, Lenc, Vedaldi & Mikolajczyk, "HPatches: a benchmark and evaluation of handcrafted and
 learned local descriptors", CVPR 2017.
@@ -19,7 +19,7 @@ def hpatches(
 ) -> Iterator[Pair]:
     """Yield the pairs 1-2 ... 1-6 of each sequence, with H.
 
-    Arguments and errors are those of :func:`~sfmkit.datasets.oxford.oxford`.
+    Arguments and errors are the same as for :func:`~sfmkit.datasets.oxford.oxford`.
     """
     home = data_root("hpatches", root)
     present = sorted(f.name for f in home.iterdir() if f.is_dir() and f.name[:2] in ("v_", "i_"))

@@ -1,5 +1,4 @@
-"""The photographs that the notebooks work on: real ones where they are, bundled or rendered ones
-otherwise."""
+"""Photographs for the notebooks: real ones if available, otherwise bundled or rendered ones."""
 
 from __future__ import annotations
 
@@ -19,16 +18,16 @@ from .synthetic import demo_pair
 
 
 def lesson_pair(longest: int = 1000) -> Pair:
-    """Two photographs with cameras and true pose, reduced so that a lesson does not wait for them.
+    """Load two photographs with cameras and true pose, reduced so that a notebook runs fast.
 
-    The first two of the fountain sequence where ``SFMKIT_DATA`` or the cache holds it, else the
-    bundled pair.
+    These are the first two photographs of the fountain sequence if ``SFMKIT_DATA`` or the download
+    folder contains it, and the bundled pair otherwise.
 
     Args:
-        longest: longest side in pixels; the cameras are scaled along.
+        longest: Longest side, pixels; the cameras are scaled accordingly.
 
     Returns:
-        The pair, its images as (H, W, 3) uint8 RGB arrays.
+        The pair, with images as (H, W, 3) uint8 RGB arrays.
     """
     pair = _full_size()
     assert pair.camera1 is not None
@@ -40,7 +39,7 @@ def lesson_pair(longest: int = 1000) -> Pair:
     return replace(pair, image1=image1, image2=image2, camera1=camera1, camera2=camera2)
 
 
-#: change -> the sequence of the Oxford set that shows it; the rendered ones are named by the change
+#: Change -> sequence of the Oxford set; the rendered sequences have the name of the change.
 CHANGES = {
     "viewpoint": "graf",
     "zoom_rotation": "boat",
@@ -51,21 +50,21 @@ CHANGES = {
 
 
 def lesson_planes(change: str, count: int = 5, size_wh: tuple[int, int] = (480, 384)) -> list[Pair]:
-    """Image 1 of a plane with image 2, 3 ... of it, the change growing, and their true
-    homographies.
+    """Load pairs of image 1 of a plane and images 2, 3, ... with a growing change, with true H.
 
-    The Oxford set's where ``SFMKIT_DATA`` or the cache holds it, else rendered.
+    The images are those of the Oxford set if ``SFMKIT_DATA`` or the download folder contains it,
+    and rendered otherwise.
 
     Args:
-        change: one of :data:`CHANGES`.
-        count: of pairs, at most 5.
-        size_wh: of rendered images; fewer pixels are rendered sooner.
+        change: One of :data:`CHANGES`.
+        count: Number of pairs, at most 5.
+        size_wh: Size of rendered images, pixels; smaller images are rendered faster.
 
     Returns:
-        The pairs, their images as (H, W, 3) uint8 RGB arrays.
+        The pairs, with images as (H, W, 3) uint8 RGB arrays.
 
     Raises:
-        InputError: unknown change.
+        InputError: The change is unknown.
     """
     from .oxford import oxford
     from .planes import planes

@@ -40,8 +40,8 @@ class RingView:
 def temple_ring(root: str | os.PathLike | None = None) -> tuple[RingView, ...]:
     """Read the photographs with their cameras, ordered by their position on the ring.
 
-    The files are numbered in another order. Most neighbours are 23 degrees apart; some cameras are
-    upside down, and two photographs were taken from one place.
+    The file numbers have another order. Most neighbours are 23 degrees apart. Some cameras are
+    upside down, and two photographs were taken from the same position.
 
     Args:
         root: See :func:`sfmkit.datasets.pair.data_root`; the photographs lie in

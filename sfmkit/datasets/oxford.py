@@ -1,6 +1,7 @@
 """The Oxford affine covariant features set: eight sequences with homographies.
 
-The scenes are planar or the camera rotates; one change grows along each sequence.
+The scenes are planar, or the camera rotates. Each sequence has one change that grows from image to
+image.
 
 Mikolajczyk et al., "A comparison of affine region detectors", IJCV 2005.
 """
@@ -31,7 +32,7 @@ def oxford(
     """Yield the pairs 1-2 ... 1-6 of each sequence, with H.
 
     Args:
-        root: The folder that holds ``oxford/``; None: ``SFMKIT_DATA``, or what was fetched.
+        root: Folder that contains ``oxford/``; None for ``SFMKIT_DATA`` or the folder of downloads.
         sequences: Names in :data:`SEQUENCES`; None for all that are present.
 
     Raises:

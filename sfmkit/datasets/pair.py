@@ -1,4 +1,4 @@
-"""A pair of photographs with its known geometry, and the folders of the data sets."""
+"""Pairs of photographs with known geometry, and the folders of the data sets."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ _ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)  # EXIF: the stored rows are column
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two photographs of one scene and the truth about them, as far as it is known.
+    """Two photographs of a scene with their ground truth, as far as it is known.
 
     Attributes:
-        dataset, sequence, name: Where the pair belongs, e.g. ``oxford``, ``graf``, ``1-2``.
+        dataset, sequence, name: Names that identify the pair, e.g. ``oxford``, ``graf``, ``1-2``.
         image1, image2: Paths, or (H, W, 3) or (H, W) uint8 arrays.
-        camera1, camera2: Intrinsics; None where EXIF supplies them or none are needed.
+        camera1, camera2: Intrinsics; None if EXIF contains them or if they are not needed.
         H: (3, 3) float64, ``x2 = H x1`` in pixels with ``H[2, 2] = 1``, for planes and rotations.
-        R, t: (3, 3) and (3,) float64, ``X2 = R X1 + t``, in the data set's units.
+        R, t: (3, 3) and (3,) float64, ``X2 = R X1 + t``, in the units of the data set.
         check_points: (N, 4) float64 annotated correspondences x1, y1, x2, y2 in pixels of the
-            stored images. Where there are some, an estimated homography is judged by them.
-        kind: ``homography`` or ``two-view``: what is to be estimated. None becomes ``homography``
-            where H is given, else ``two-view``.
+            stored images. If given, estimated homographies are evaluated at these points.
+        kind: Model to estimate: ``homography`` or ``two-view``. None becomes ``homography`` if H is
+            given, otherwise ``two-view``.
 
     Raises:
-        InputError: Arrays of another shape or with NaN, an R that is not a rotation matrix, R
-            without t, or an unknown kind.
+        InputError: An array has a wrong shape or contains NaN, R is not a rotation matrix, R and t
+            are not given together, or the kind is unknown.
     """
 
     dataset: str
@@ -75,7 +75,7 @@ class Pair:
             raise InputError(f"{self}: kind must be {' or '.join(KINDS)}, not {self.kind!r}")
 
     def _checked(self, field: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-        """A read-only copy of finite numbers of this shape; -1 stands for any length."""
+        """Return a read-only copy of finite numbers of this shape; -1 stands for any length."""
         array = np.array(value, dtype=np.float64)
         right = array.ndim == len(shape) and all(
             n in (-1, m) for n, m in zip(shape, array.shape, strict=True)
@@ -94,14 +94,14 @@ class Pair:
 def data_root(dataset: str, data: str | os.PathLike | None = None) -> Path:
     """Find the folder of a data set.
 
-    It is below `data`, below ``SFMKIT_DATA``, or where ``sfmkit data fetch`` stores it.
+    It is searched in `data`, in ``SFMKIT_DATA``, and in the folder of ``sfmkit data fetch``.
 
     Args:
-        dataset: The name of its folder, e.g. ``oxford``.
-        data: A folder that holds the data sets, or the data set itself.
+        dataset: Name of its folder, e.g. ``oxford``.
+        data: Folder that contains the data sets, or the folder of the data set itself.
 
     Raises:
-        InputError: It is in none of them; the message says how to fetch it.
+        InputError: The data set was not found; the message states how to download it.
     """
     if data is not None:
         candidates = [Path(data) / dataset, Path(data)]
@@ -125,7 +125,7 @@ def data_root(dataset: str, data: str | os.PathLike | None = None) -> Path:
 
 
 def download_folder() -> Path:
-    """The folder of downloads: ``sfmkit`` in the user's cache folder."""
+    """Return the folder of downloads: ``sfmkit`` in the user's cache folder."""
     import pooch
 
     return Path(pooch.os_cache("sfmkit"))
@@ -134,7 +134,7 @@ def download_folder() -> Path:
 def choose_sequences(
     root: Path, known: Iterable[str], wanted: Iterable[str] | None
 ) -> tuple[str, ...]:
-    """The wanted sequences, or all that are present, in the order of `known`.
+    """Return the wanted sequences, or all that are present, in the order of `known`.
 
     Raises:
         InputError: A name is unknown, a sequence is missing, or there are none.
@@ -162,7 +162,7 @@ def choose_sequences(
 
 
 def find_image(folder: Path, stem: str) -> Path:
-    """The image `stem` in `folder`, in any of the known formats.
+    """Find the image `stem` in `folder`, in any of the known formats.
 
     Raises:
         InputError: There is none.
@@ -177,14 +177,14 @@ def find_image(folder: Path, stem: str) -> Path:
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
-    """Sort key of a file name in which numbers count by their value: im9 before im10."""
+    """Return a sort key that orders numbers in file names by value: im9 before im10."""
     return [
         (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
     ]
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images in `folder`, in natural order.
+    """List the images in `folder`, in natural order.
 
     Raises:
         InputError: There is no such folder.
@@ -196,9 +196,9 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image as :func:`sfmkit.io.images.read_image` returns it, upright.
+    """Return width and height of the upright image, as :func:`sfmkit.io.images.read_image` does.
 
-    Reads the header only, where Pillow can.
+    Only the header is read if Pillow supports the format.
 
     Raises:
         ImageError: The file is not an image.
@@ -214,7 +214,7 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def neighbours(files: list[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
-    """Each photograph with the next one.
+    """Pair each photograph with the next one.
 
     Raises:
         InputError: There are fewer than two.

@@ -1,4 +1,4 @@
-"""Pair lists of users: JSON or CSV with image paths, cameras, and what is known of the geometry."""
+"""Pair lists in JSON or CSV, with image paths, cameras and known geometry."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def pair_list(
     *,
     images: str | os.PathLike | None = None,
 ) -> Iterator[Pair]:
-    """The pairs of a ``.json`` or ``.csv`` list.
+    """Yield the pairs of a ``.json`` or ``.csv`` list.
 
     JSON: a list of objects, or an object with such a list under ``pairs``. CSV: a header and one
     line per pair; the numbers of a cell are separated by spaces. The fields are :data:`FIELDS`;
     only ``image1`` and ``image2`` are required. ``check_points`` are rows of x1, y1, x2, y2, or the
-    path of a text file with such rows. ``camera1`` and ``camera2`` are what ``--intrinsics`` takes:
-    a camera file or numbers. K or camera of image 2 defaults to that of image 1. ``kind``
-    (``homography`` or ``two-view``) defaults to ``homography`` where H is given.
+    path of a text file with such rows. ``camera1`` and ``camera2`` have the form of
+    ``--intrinsics``: a camera file or numbers. K or camera of image 2 defaults to that of image 1.
+    ``kind`` (``homography`` or ``two-view``) defaults to ``homography`` if H is given.
 
     Args:
-        root: The list.
+        root: Path of the list.
         sequences: Names in the field ``sequence``; None for all.
-        images: The folder to which relative image paths refer; None: the folder of the list.
+        images: Folder of relative image paths; None for the folder of the list.
 
     Raises:
         InputError: The list cannot be read, or an entry is malformed; the message names the entry
@@ -64,7 +64,7 @@ def pair_list(
 
 
 def read_pair_list(file: Path) -> list[tuple[str, Row]]:
-    """The entries of a list, each with its place for messages; their fields are not looked at yet.
+    """Read the entries of a list, with their positions for messages; fields are not checked.
 
     Raises:
         InputError: The file cannot be read, is not a list of pairs, is empty, or has unknown
@@ -87,7 +87,7 @@ def read_pair_list(file: Path) -> list[tuple[str, Row]]:
 
 
 def find_listed_image(folder: Path, name: str, where: str) -> Path:
-    """The image that a list names: an absolute path, or one relative to `folder`.
+    """Find an image of a list by an absolute path or a path relative to `folder`.
 
     Raises:
         InputError: There is no such file.
@@ -103,7 +103,7 @@ def find_listed_image(folder: Path, name: str, where: str) -> Path:
 
 
 def reject_sequences(file: Path, sequences: Iterable[str] | None) -> None:
-    """Raises InputError when sequences are chosen from a list that has none."""
+    """Raise InputError if sequences are chosen from a list without sequences."""
     if sequences is not None:
         raise InputError(f"{file} has no sequences to choose from: {', '.join(sequences)}")
 
@@ -165,7 +165,7 @@ def _pair(row: Row, where: str, file: Path, folder: Path, number: int) -> Pair:
 
 
 def _camera(row: Row, which: str, image: Path, where: str, folder: Path) -> Camera | None:
-    """The camera of one image: from K and distortion, or from a camera file or numbers."""
+    """Read the camera of an image from K and distortion, a camera file, or numbers."""
     given, K = row.get(f"camera{which}"), _array(row, f"K{which}", (3, 3), where)
     distortion = _array(row, f"distortion{which}", (-1,), where)
     if K is None and distortion is not None:
@@ -215,7 +215,7 @@ def _text(row: Row, field: str, where: str, default: str | None = None) -> str |
 
 
 def _array(row: Row, field: str, shape: tuple[int, ...], where: str) -> np.ndarray | None:
-    """Finite numbers of a shape, where -1 stands for any length; None where the field is absent."""
+    """Read finite numbers of a shape (-1 for any length); None if the field is absent."""
     value = row.get(field)
     if value is None or value == "":
         return None

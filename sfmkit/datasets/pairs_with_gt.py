@@ -2,8 +2,8 @@
 
 A line holds 38 words: the two image names, the rotations of both images in quarter turns, K of both
 images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2 (Sarlin, DeTone, Malisiewicz
-& Rabinovich, "SuperGlue", CVPR 2020, evaluation code). K and the matrix are for the images as they
-are stored; the turns are applied to image, K and pose alike.
+& Rabinovich, "SuperGlue", CVPR 2020, evaluation code). K and the matrix refer to the stored images;
+the quarter turns are applied to image, K and pose.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ def pairs_with_gt(
     *,
     images: str | os.PathLike | None = None,
 ) -> Iterator[Pair]:
-    """The pairs of a ``*_pairs_with_gt.txt`` list, with cameras and pose.
+    """Yield the pairs of a ``*_pairs_with_gt.txt`` list, with cameras and pose.
 
     Args:
-        root: The list.
-        sequences: Must be None: the format has no sequences.
-        images: The folder of the images; None: the folder of the list.
+        root: Path of the list.
+        sequences: Must be None, because the format has no sequences.
+        images: Folder of the images; None for the folder of the list.
 
     Raises:
-        InputError: The list cannot be read; a line has another number of words, a word that is not
-            a number, matrices that are not a camera or a rotation, or an image that is missing. The
+        InputError: The list cannot be read, or a line is malformed: wrong number of words, a word
+            that is not a number, an invalid camera or rotation matrix, or a missing image. The
             message names the line.
     """
     file = Path(root)
@@ -91,14 +91,14 @@ def _pair(words: list[str], where: str, dataset: str, folder: Path, name: str) -
 
 
 def _turned_image(path: Path, turns: int) -> Path | np.ndarray:
-    """The image after counter-clockwise quarter turns."""
+    """Turn an image counter-clockwise by quarter turns."""
     return np.ascontiguousarray(np.rot90(read_image(path).rgb, turns)) if turns else path
 
 
 def _turned_camera(camera: Camera, turns: int) -> Camera:
-    """The camera of the image after counter-clockwise quarter turns.
+    """Compute the camera of an image that was turned counter-clockwise by quarter turns.
 
-    One turn takes the pixel (x, y) of an image of width w to (y, w - 1 - x).
+    One turn maps the pixel (x, y) of an image of width w to (y, w - 1 - x).
     """
     for _ in range(turns):
         (fx, _, cx), (_, fy, cy), _ = camera.K
@@ -108,6 +108,6 @@ def _turned_camera(camera: Camera, turns: int) -> Camera:
 
 
 def _quarter_turns(turns: int) -> np.ndarray:
-    """(3, 3) rotation of the camera frame that belongs to counter-clockwise quarter turns."""
+    """Return the (3, 3) rotation of the camera frame for counter-clockwise quarter turns."""
     quarter = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # (X, Y) -> (Y, -X)
     return np.linalg.matrix_power(quarter, turns)

@@ -1,4 +1,4 @@
-"""A folder of photographs: pairs in the order of the file names, cameras from EXIF, no truth."""
+"""A folder of photographs: pairs in the order of the file names, without ground truth."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ T = TypeVar("T")
 
 
 def photographs(root: str | os.PathLike, sequences: Iterable[str] | None = None) -> Iterator[Pair]:
-    """The pairs of a folder of photographs.
+    """Yield the pairs of a folder of photographs.
 
     Args:
         root: The folder.
         sequences: ``consecutive`` (the default: each photograph with the next one, in the order of
-            the numbers in their names) or ``all`` (every two).
+            the numbers in their names) or ``all`` (all pairs).
 
     Raises:
         InputError: The folder is missing or holds fewer than two photographs, or the sequence is
@@ -36,7 +36,7 @@ def photographs(root: str | os.PathLike, sequences: Iterable[str] | None = None)
 def choose_pairs(
     items: Sequence[T], sequences: Iterable[str] | None, where: str
 ) -> Iterator[tuple[str, T, T]]:
-    """Sequence, first and second item of every pair of a folder or model.
+    """Yield sequence, first and second item of every pair of a folder or model.
 
     Raises:
         InputError: There are fewer than two items, or the sequence is unknown.

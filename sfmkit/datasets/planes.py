@@ -1,7 +1,7 @@
 """Rendered planes with exact homographies, in the manner of the Oxford sequences.
 
-Every sequence has a first image and five more that differ from it by one change that grows: zoom
-and rotation, blur, viewpoint, light or JPEG compression (Mikolajczyk et al., "A comparison of
+Each sequence has a first image and five images with a growing change: zoom and rotation, blur,
+viewpoint, light or JPEG compression (Mikolajczyk et al., "A comparison of
 affine region detectors", IJCV 2005). The texture of the plane is a function of its coordinates and
 is evaluated at every pixel, so no image is warped.
 """
@@ -25,10 +25,10 @@ from .synthetic import check_size, photograph
 
 Array = np.ndarray
 
-FOCAL = 1.1  # over the image's width
-DISTANCE = 4.4  # metres from the plane
+FOCAL = 1.1  # focal length over image width
+DISTANCE = 4.4  # of the camera from the plane, metres
 LIGHT = unit(np.array([-0.5, -0.6, 0.75]))  # towards the sun; u, v and out of the plane
-ROWS = 32  # of pixels that are rendered at a time
+ROWS = 32  # pixel rows that are rendered at a time
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ SEQUENCES: dict[str, tuple[Material, tuple[View, ...]]] = {
 
 
 def homography(first: View, other: View, size_wh: tuple[int, int]) -> Array:
-    """(3, 3) ``x2 = H x1`` between pixels of two views of the plane, with ``H[2, 2] = 1``."""
+    """Compute the (3, 3) ``x2 = H x1`` between pixels of two views, with ``H[2, 2] = 1``."""
     H = other.pixels_from_plane(size_wh) @ np.linalg.inv(first.pixels_from_plane(size_wh))
     return H / H[2, 2]
 

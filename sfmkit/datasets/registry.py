@@ -1,4 +1,4 @@
-"""The data sets that can be named: the extension point ``sfmkit.datasets``."""
+"""The extension point of data sets: contract and registry."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from .pair import Pair
 class DatasetReader(Protocol):
     """A function that yields the pairs of a data set.
 
-    A reader may have further keyword arguments with defaults. A reader whose pairs depend on
-    nothing but its own code (rendered images) has an attribute ``generated``, the names of its
-    sequences; a sweep then stores the pairs in its cache and renders each sequence once.
+    A reader may have further keyword arguments with defaults. A reader whose pairs depend only on
+    its code (rendered images) has an attribute ``generated`` with the names of its sequences. A
+    sweep stores such pairs in its cache and renders each sequence once.
     """
 
     def __call__(self, root: Any, sequences: Iterable[str] | None = None) -> Iterable[Pair]:
-        """The pairs of a data set.
+        """Yield the pairs of a data set.
 
         Args:
-            root: The folder of the data sets (a path), or None where the user named none.
-            sequences: The sequences to read; None for all of them.
+            root: Path of the folder of the data sets; None if the user gave none.
+            sequences: Names of the sequences to read; None for all of them.
 
         Raises:
             InputError: The data set or a sequence is missing or damaged.
@@ -37,8 +37,8 @@ def register_dataset(name: str, reader: DatasetReader) -> DatasetReader:
     """Register a data set under a name, for this process and its sweeps.
 
     Args:
-        name: The name for ``--data`` and :func:`sfmkit.datasets.pairs`.
-        reader: See :class:`DatasetReader`.
+        name: Name for ``--data`` and :func:`sfmkit.datasets.pairs`.
+        reader: Function that fulfils the contract of :class:`DatasetReader`.
 
     Returns:
         `reader`.

@@ -1,4 +1,4 @@
-"""What a text after ``--data`` names: a data set, an import path, a list or a folder."""
+"""The values of ``--data``: data sets, import paths, pair lists and folders."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Source:
     """A data set that was found.
 
     Attributes:
-        text: What named it.
-        reader: The function that yields its pairs.
-        root: The folder or file that the reader reads; None where the user named none.
-        sequences: The sequences that were chosen; None for all.
-        name: The name in :data:`DATASETS`; None for a list or a folder.
+        text: The text by which it was found.
+        reader: Function that yields its pairs.
+        root: Folder or file for the reader; None if the user gave none.
+        sequences: Chosen sequences; None for all.
+        name: Name in :data:`DATASETS`; None for a list or a folder.
     """
 
     text: str
@@ -37,10 +37,11 @@ class Source:
     name: str | None = None
 
     def pairs(self, sequences: tuple[str, ...] | None = None) -> list[Pair]:
-        """All pairs of the chosen sequences.
+        """Read all pairs of the chosen sequences.
 
         Raises:
-            InputError: The data set is missing or damaged, or what a plug-in yields is not a pair.
+            InputError: The data set is missing or damaged, or a plug-in yields something other than
+                a pair.
         """
         found = list(self.reader(self.root, sequences=sequences or self.sequences))
         for pair in found:
@@ -52,15 +53,15 @@ class Source:
 
 
 def find_source(data: str | os.PathLike, root: str | os.PathLike | None = None) -> Source:
-    """The data set that a text names.
+    """Find a data set by name, path or import path.
 
-    In this order: a registered name or entry point; the path of a pair list (``.json``, ``.csv``,
-    ``*_pairs_with_gt.txt``), of a COLMAP model or of a folder of photographs; an import path
-    ``package.module:name``. Each may be followed by ``:SEQUENCE+SEQUENCE``.
+    The text is, in this order: a registered name or entry point; the path of a pair list
+    (``.json``, ``.csv``, ``*_pairs_with_gt.txt``), of a COLMAP model or of a folder of photographs;
+    an import path ``package.module:name``. Each may be followed by ``:SEQUENCE+SEQUENCE``.
 
     Args:
         data: The text.
-        root: The folder of the data sets; for a list or a COLMAP model, the folder of its images.
+        root: Folder of the data sets; for a list or a COLMAP model, the folder of its images.
 
     Raises:
         InputError: There is no such data set or file.
@@ -81,7 +82,7 @@ def find_source(data: str | os.PathLike, root: str | os.PathLike | None = None) 
 
 
 def _path_reader(path: Path, root: str | os.PathLike | None) -> DatasetReader:
-    """The reader of a list or a folder."""
+    """Choose the reader of a list or a folder."""
     if path.is_file():
         if path.suffix.lower() not in LIST_READERS:
             raise InputError(

@@ -27,9 +27,9 @@ def strecha(
     A sequence is a folder with ``images/`` and ``gt_dense_cameras/<image>.camera``.
 
     Args:
-        root: See :func:`sfmkit.datasets.pair.data_root`.
+        root: Folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
         sequences: Names of folders; None for all.
-        step: Difference of the positions of a pair's photographs in the sequence.
+        step: Distance of the photographs of a pair in the sequence.
 
     Raises:
         InputError: The data set, a sequence or a camera is missing or unreadable, or `step` is not

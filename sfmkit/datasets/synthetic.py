@@ -1,11 +1,10 @@
-"""Rendered pairs of photographs whose answer is known exactly: cameras, pose, and the point behind
-every pixel.
+"""Rendered pairs of photographs with exact ground truth: cameras, pose, and depth of every pixel.
 
     >>> pair = render("courtyard", size_wh=(1024, 768), noise=1.5)
     >>> x2, visible = pair.transfer(np.array([[512.0, 300.0]]))
 
-The geometry is analytic, so depths and correspondences are exact to rounding; only the pictures are
-sampled.
+The geometry is analytic, so depths and correspondences are exact up to rounding. Only the colours
+are sampled.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from .rendering.raycasting import EXACT, geometry, radiance, rays
 from .rendering.scenes import SCENES, Pose, Scene
 from .rendering.textures import srgb
 
-GAIN = 0.68  # of the sensor at exposure 1: the brightest matt surface in the sun stays below white
+GAIN = 0.68  # sensor gain at exposure 1; the brightest matt surface in the sun is below white
 OCCLUSION_TOLERANCE = 1e-6  # relative difference of depth
 DEMO = {
     "scene": "courtyard",
@@ -45,17 +44,17 @@ DEMO = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticPair:
-    """Two rendered photographs and everything there is to know about them.
+    """Two rendered photographs with their ground truth.
 
     Attributes:
         image1, image2: (H, W, 3) uint8 sRGB.
-        camera1, camera2: the true cameras.
+        camera1, camera2: True cameras.
         R, t: (3, 3) and (3,) float64 true pose, ``X2 = R X1 + t``, t in metres.
-        depth1, depth2: (H, W) float64 depth z of the point at every pixel's centre, metres; inf for
-            sky.
-        points1: (H, W, 3) float64 that point in the frame of camera 1; NaN for sky.
-        scene: what was rendered.
-        settings: the arguments of :func:`render` that made the pictures.
+        depth1, depth2: (H, W) float64 depth z at the pixel centres, metres; inf for sky.
+        points1: (H, W, 3) float64 points at the pixel centres of image 1, in the frame of camera 1,
+            metres; NaN for sky.
+        scene: The rendered scene.
+        settings: Arguments of :func:`render`.
     """
 
     image1: np.ndarray
@@ -71,8 +70,12 @@ class SyntheticPair:
     settings: dict[str, Any]
 
     def depth_at(self, view: int, x: np.ndarray) -> np.ndarray:
-        """(N,) depth of what image `view` (1 or 2) sees at pixels `x` (N, 2), which need not be
-        whole; inf for sky."""
+        """Return the (N,) depths at pixels of an image, metres; inf for sky.
+
+        Args:
+            view: 1 or 2.
+            x: (N, 2) pixels, which may be fractional.
+        """
         camera, pose = {1: (self.camera1, self.scene.pose1), 2: (self.camera2, self.scene.pose2)}[
             view
         ]
@@ -82,12 +85,12 @@ class SyntheticPair:
         """Transfer pixels `x1` of image 1 to image 2 with the true depth.
 
         Args:
-            x1: (N, 2) pixels of image 1, which need not be whole.
+            x1: (N, 2) pixels of image 1, which may be fractional.
 
         Returns:
-            (x2, visible). x2 (N, 2) float64 pixels, NaN for points behind camera 2; sky is
-            transferred as a point at infinity. visible (N,) bool, False outside image 2 or behind
-            something nearer.
+            (x2, visible). x2 is (N, 2) float64 pixels, NaN for points behind camera 2; sky is
+            transferred as a point at infinity. visible is (N,) bool, False for points outside image
+            2 and for occluded points.
         """
         x1 = _pixels(x1)
         z1 = self.depth_at(1, x1)
@@ -109,7 +112,7 @@ class SyntheticPair:
         return x2, visible
 
     def truth(self) -> dict[str, Any]:
-        """The answer in plain numbers, as ``sfmkit reconstruct --truth`` reads it from JSON."""
+        """Return the ground truth as JSON values, the format of ``reconstruct --truth``."""
         return {
             "convention": (
                 "X2 = R X1 + t, metres; x right, y down, z forward; centre of the top-left pixel "
@@ -136,21 +139,22 @@ def render(
     seed: int = 0,
     supersample: int = 2,
 ) -> SyntheticPair:
-    """Two photographs of a scene, with the answer. The same arguments give the same bits on the
-    same machine.
+    """Render two photographs of a scene, with ground truth.
+
+    The same arguments give bit-identical results on the same machine.
 
     Args:
-        scene: a name in :data:`SCENES`, or a scene of one's own.
-        size_wh: width and height of both images, at least 16 pixels each.
-        blur: standard deviation of the lens's Gaussian blur, pixels.
-        noise: standard deviation of the sensor's noise, grey levels.
-        exposure: factor on the light before the sensor clips.
-        jpeg_quality: 1 to 100 to pass both images through JPEG, None to leave them alone.
-        seed: of the noise; the scene does not depend on it.
-        supersample: rays along a pixel's side, 1 to 8.
+        scene: Name in :data:`SCENES`, or a :class:`Scene`.
+        size_wh: Width and height of both images, at least 16 pixels each.
+        blur: Standard deviation of the Gaussian blur of the lens, pixels.
+        noise: Standard deviation of the sensor noise, grey levels.
+        exposure: Factor on the light before the sensor clips.
+        jpeg_quality: JPEG quality from 1 to 100 to compress both images; None for no compression.
+        seed: Seed of the noise; the scene does not depend on it.
+        supersample: Number of rays per side of a pixel, 1 to 8.
 
     Raises:
-        InputError: for an unknown scene or a value out of range.
+        InputError: The scene is unknown, or a value is out of range.
     """
     if isinstance(scene, str):
         scene = named_scene(scene)
@@ -192,7 +196,11 @@ def render(
 
 @cache
 def named_scene(name: str) -> Scene:
-    """The scene of that name; InputError with the nearest name when there is none."""
+    """Return a scene by name.
+
+    Raises:
+        InputError: There is no such scene; the message suggests the closest name.
+    """
     if name not in SCENES:
         near = get_close_matches(name, SCENES, n=1, cutoff=0.4)
         hint = f" Did you mean '{near[0]}'?" if near else ""
@@ -201,7 +209,7 @@ def named_scene(name: str) -> Scene:
 
 
 def relative_pose(pose1: Pose, pose2: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """``R, t`` of ``X2 = R X1 + t`` from two poses in the world."""
+    """Compute ``R, t`` of ``X2 = R X1 + t`` from two poses in the world."""
     R = pose2.R @ pose1.R.T
     return R, pose2.R @ (pose1.centre - pose2.centre)
 
@@ -214,8 +222,10 @@ def photograph(
     jpeg_quality: int | None,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """What a camera makes of linear light (H, W, 3): blur, exposure, sRGB curve, noise, 8 bits,
-    JPEG."""
+    """Convert linear light (H, W, 3) to an image.
+
+    The steps are blur, exposure, sRGB curve, noise, quantisation to 8 bits and JPEG.
+    """
     if blur > 0:
         light = gaussian_filter(light, (blur, blur, 0), mode="nearest")
     levels = 255 * srgb(GAIN * exposure * light)
@@ -237,8 +247,11 @@ def _pixels(x: np.ndarray) -> np.ndarray:
 
 
 def check_size(size_wh: tuple[int, int]) -> tuple[int, int]:
-    """Width and height as they came; InputError unless they are two whole numbers of at least 16
-    pixels."""
+    """Check an image size, and return it.
+
+    Raises:
+        InputError: Width or height is not an integer of at least 16 pixels.
+    """
     if not isinstance(size_wh, Sequence) or len(size_wh) != 2:
         raise InputError(f"size_wh must be (width, height) in pixels, not {size_wh!r}")
     return _whole("size_wh", size_wh[0], 16, 20_000), _whole("size_wh", size_wh[1], 16, 20_000)
@@ -263,8 +276,10 @@ def _positive(name: str, value: float, zero: bool = False) -> None:
 
 
 def demo_pair() -> tuple[Path, Path, Path]:
-    """Paths of the bundled pair of photographs and of its truth (JSON; see
-    :meth:`SyntheticPair.truth`)."""
+    """Return the paths of the two bundled photographs and of their ground truth.
+
+    The ground truth is JSON, see :meth:`SyntheticPair.truth`.
+    """
     folder = Path(str(files("sfmkit.datasets") / "demo"))
     return folder / "image1.jpg", folder / "image2.jpg", folder / "truth.json"
 

@@ -1,4 +1,4 @@
-"""The rendered scenes as pairs."""
+"""Rendered scenes as a data set."""
 
 from __future__ import annotations
 

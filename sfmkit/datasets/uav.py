@@ -1,4 +1,4 @@
-"""Folders of drone photographs: pairs along the flight, cameras from EXIF, no truth."""
+"""Folders of drone photographs: pairs along the flight, without ground truth."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def uav(
     A sequence is a folder of photographs below ``uav/``.
 
     Args:
-        root: See :func:`sfmkit.datasets.pair.data_root`.
+        root: Folder of the data sets, see :func:`sfmkit.datasets.pair.data_root`.
         sequences: Names of folders; None for all.
-        step: Difference of the positions of a pair's photographs in the flight.
+        step: Distance of the photographs of a pair in the flight.
 
     Raises:
         InputError: The data set or a sequence is missing, or holds too few photographs for a pair;

@@ -1,6 +1,6 @@
 """Files: photographs with EXIF, cameras, PLY clouds, COLMAP models.
 
-The modules are imported one by one: reading a cloud needs neither Pillow nor the camera formats.
+Import the modules directly: reading a cloud needs neither Pillow nor the camera formats.
 """
 
 __all__ = [

@@ -1,7 +1,7 @@
-"""Calibration files: intrinsics as other programs write them.
+"""Calibration files of other programs.
 
 Every reader returns a :class:`Calibration` with the centre of the top-left pixel at (0, 0). OpenCV
-and ROS count so, too; COLMAP has it at (0.5, 0.5) and MATLAB at (1, 1).
+and ROS have the same convention; in COLMAP it is (0.5, 0.5), in MATLAB (1, 1).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ FORMS = (
     "fx,fy,cx,cy[,k1,k2,p1,p2,k3] in pixels, 24mm/36mm (focal length / sensor width), or a file "
     "with a 3x3 matrix, JSON, YAML of OpenCV or ROS, MATLAB's text, or COLMAP's cameras.txt"
 )
-MAX_BYTES = 1_000_000  # of a file that is read; calibrations with all their points are smaller
+MAX_BYTES = 1_000_000  # largest file; calibrations with all their points are smaller
 _YAML_BYTES = 300_000  # the parser takes about 10 microseconds per byte
 _MAX_SIDE = 1_000_000  # pixels
 
-# Names of the entries, in lower case and without "_".
+# Names of the entries, in lower case and without underscores.
 _MATRIX = ("k", "cameramatrix", "intrinsicmatrix", "intrinsics", "mtx")
 _DISTORTION = (
     *("distortion", "distortioncoefficients", "distortioncoeffs", "distcoeffs", "dist", "d"),
@@ -45,12 +45,12 @@ _LENSES = {
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Intrinsics as a file states them.
+    """Intrinsics read from a file.
 
     Attributes:
-        K: (3, 3) float64.
-        size_wh: width and height that K belongs to; None where the file does not state them.
-        distortion: coefficients of `model` as in :class:`~sfmkit.types.Camera`.
+        K: (3, 3) float64 intrinsics, pixels.
+        size_wh: Width and height of the image to which K refers, pixels; None if not stated.
+        distortion: Coefficients of `model` as in :class:`~sfmkit.types.Camera`.
         model: ``opencv`` or ``fisheye``.
     """
 
@@ -60,10 +60,10 @@ class Calibration:
     model: str = "opencv"
 
     def camera(self, size_wh: tuple[int, int]) -> Camera:
-        """The camera for an image of `size_wh`, which K must belong to.
+        """Make the camera of an image of `size_wh` pixels, to which K must refer.
 
         Raises:
-            CameraError: intrinsics that no camera has.
+            CameraError: The intrinsics are impossible.
         """
         return Camera(self.K, size_wh, np.array(self.distortion), model=self.model)  # type: ignore[arg-type]
 
@@ -72,10 +72,11 @@ def read_calibration(path: Path, size_wh: tuple[int, int]) -> Calibration:
     """Read a calibration file of any of the supported kinds.
 
     Args:
-        size_wh: of the image; chooses from the cameras of a COLMAP file.
+        path: Path of the file.
+        size_wh: Width and height of the image; selects a camera of a COLMAP file.
 
     Raises:
-        CameraError: no such file, an unknown or damaged one.
+        CameraError: The file is missing, damaged or of an unknown format.
     """
     text = read_text(path)
     first = next((ln for ln in text.splitlines() if ln.strip() and ln.lstrip()[0] != "#"), "")
@@ -95,10 +96,10 @@ def read_calibration(path: Path, size_wh: tuple[int, int]) -> Calibration:
 
 
 def parse_numbers(values: list[float], where: str) -> Calibration:
-    """Four to nine numbers ``fx fy cx cy`` with distortion, or the nine of a matrix.
+    """Convert four to nine numbers ``fx fy cx cy`` with distortion, or the nine of a matrix.
 
     Raises:
-        CameraError: another count.
+        CameraError: The count of numbers is different.
     """
     if len(values) == 9 and (values[6:] == [0, 0, 1] or values[2::3] == [0, 0, 1]):
         return Calibration(_upper(np.array(values).reshape(3, 3)))
@@ -110,10 +111,10 @@ def parse_numbers(values: list[float], where: str) -> Calibration:
 
 
 def number(word: str, where: str) -> float:
-    """`word` as a number.
+    """Convert `word` to a number.
 
     Raises:
-        CameraError: it is not one.
+        CameraError: It is not a number.
     """
     try:
         return float(word)
@@ -124,7 +125,7 @@ def number(word: str, where: str) -> float:
 
 
 def _from_rows(text: str, path: Path) -> Calibration:
-    """A matrix in rows, with a row of distortion; one row of numbers; an EPFL ``.camera`` file."""
+    """Read a matrix in rows with optional distortion, one row of numbers, or a ``.camera`` file."""
     lines = [line.split("#")[0] for line in text.splitlines()]
     _refuse_decimal_commas(" ".join(lines), path)
     table = str.maketrans(",;[]()", "      ")
@@ -157,7 +158,7 @@ def _refuse_decimal_commas(text: str, path: Path) -> None:
 
 
 def _upper(K: np.ndarray) -> np.ndarray:
-    """K, of a matrix that may be transposed, as MATLAB's IntrinsicMatrix is."""
+    """Return K from a matrix that may be transposed, such as MATLAB's IntrinsicMatrix."""
     lower = K.shape == (3, 3) and K[:, 2].tolist() == [0, 0, 1] and K[2].tolist() != [0, 0, 1]
     return K.T.copy() if lower else K
 
@@ -183,7 +184,7 @@ def _from_entries(data: Any, path: Path) -> Calibration:
 
 
 def _entries(data: Any, path: Path) -> dict[str, Any]:
-    """The entries that describe a camera, by folded names; they may lie one level down."""
+    """Find the entries of a camera, by folded names; they may be nested by one level."""
     if isinstance(data, Mapping):
         folded = {str(key).replace("_", "").lower(): value for key, value in data.items()}
         if any(key in folded for key in (*_MATRIX, "radialdistortion")):
@@ -209,7 +210,7 @@ def _first(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """The numbers of a matrix that may be written as rows, cols and data."""
+    """Return the numbers of a matrix, which may be given as rows, cols and data."""
     if isinstance(value, Mapping):
         return next((v for k, v in value.items() if str(k).lower() == "data"), value)
     return value
@@ -217,7 +218,7 @@ def _plain(value: Any) -> Any:
 
 def _matrix(value: Any, path: Path) -> np.ndarray:
     K = to_array(_plain(value), "K", path)
-    if K.size == 4 and K.ndim == 1:  # fx fy cx cy, as Kalibr writes them
+    if K.size == 4 and K.ndim == 1:  # fx fy cx cy of Kalibr
         return parse_numbers(K.tolist(), str(path)).K
     return _upper(K.reshape(3, 3) if K.size == 9 and K.ndim <= 2 else K)
 
@@ -229,7 +230,7 @@ def _flat(values: np.ndarray) -> tuple[float, ...]:
 
 
 def _load_yaml(text: str, path: Path) -> Any:
-    """YAML without aliases and objects; OpenCV's first line is not YAML's and is corrected."""
+    """Load YAML without aliases and objects; the first line of OpenCV, invalid YAML, is fixed."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -261,13 +262,13 @@ def _load_yaml(text: str, path: Path) -> Any:
 
 
 def _matlab_entries(text: str) -> dict[str, Any]:
-    """The properties that MATLAB prints of a cameraIntrinsics or cameraParameters."""
+    """Parse MATLAB's printed cameraIntrinsics or cameraParameters."""
     found = re.findall(r"^\s*(\w+)\s*:\s*\[?([-+0-9.eE,; ]+)\]?\s*$", text, re.MULTILINE)
     return {name.lower(): re.split(r"[,; ]+", value.strip()) for name, value in found}
 
 
 def _from_matlab(entries: Mapping[str, Any], path: Path) -> Calibration:
-    """Pixels count from 1, sizes are rows and columns, and IntrinsicMatrix is transposed."""
+    """Convert from MATLAB: pixels count from 1, sizes are rows and columns, K is transposed."""
     if "focallength" in entries and "principalpoint" in entries:
         focal = to_array(entries["focallength"], "FocalLength", path).reshape(-1)
         centre = to_array(entries["principalpoint"], "PrincipalPoint", path).reshape(-1)
@@ -317,10 +318,10 @@ def _from_camera(given: ColmapCamera) -> Calibration:
 
 
 def read_text(path: Path) -> str:
-    """A text file in UTF-8, with or without a byte order mark, of at most MAX_BYTES.
+    """Read a text file in UTF-8, with or without a byte order mark, of at most MAX_BYTES.
 
     Raises:
-        CameraError: missing, unreadable, too large, or not text.
+        CameraError: The file is missing, unreadable, too large, or not text.
     """
     try:
         with path.open("rb") as file:
@@ -345,10 +346,10 @@ def read_text(path: Path) -> str:
 
 
 def load_json(text: str, path: Path) -> Any:
-    """The value of a JSON text.
+    """Parse a JSON text.
 
     Raises:
-        CameraError: not JSON, nested too deeply, or a number of too many digits.
+        CameraError: The text is not JSON or nested too deeply, or a number has too many digits.
     """
     try:
         return json.loads(text)
@@ -359,10 +360,10 @@ def load_json(text: str, path: Path) -> Any:
 
 
 def to_array(value: Any, name: str, path: Path) -> np.ndarray:
-    """`value` as float64 numbers.
+    """Convert `value` to a float64 array.
 
     Raises:
-        CameraError: text, rows of several lengths, or numbers beyond the range of float64.
+        CameraError: `value` contains text, rows of different lengths, or numbers beyond float64.
     """
     try:
         return np.array(value, dtype=np.float64)

@@ -16,24 +16,24 @@ from .images import Image
 from .sensors import sensor_width
 
 FILM_DIAGONAL_MM = math.hypot(36, 24)  # the 35 mm film frame
-GUESSED_FOCAL = 1.2  # in longest sides: 45 degrees across, between a phone's and a normal lens
-AGREEMENT = 1.1  # ratio of two focal lengths that agree: the tags are rounded and nominal
-_ANGLE = (0.1, 50)  # focal length in longest sides: 157 degrees to 1.1 degrees across
+GUESSED_FOCAL = 1.2  # times the longest side: 45 degrees, between a phone and a normal lens
+AGREEMENT = 1.1  # largest ratio of agreeing focal lengths; the tags are rounded and nominal
+_ANGLE = (0.1, 50)  # focal length over the longest side: 157 to 1.1 degrees
 _ADVICE = "Give the camera (--intrinsics)"
 
 
 class CameraWarning(UserWarning):
-    """A camera had to be guessed or adapted; results depend on it."""
+    """Warning: a camera was guessed or adapted, and results depend on it."""
 
 
 @dataclass(frozen=True)
 class FocalSource:
-    """What one source says about the focal length.
+    """The focal length according to one source.
 
     Attributes:
-        name: of the source.
-        focal: pixels of the image.
-        survives_resizing: whether the number does not depend on the size of the picture.
+        name: Name of the source.
+        focal: Focal length in pixels of the image.
+        survives_resizing: Whether the value remains valid if the photograph is resized.
     """
 
     name: str
@@ -44,28 +44,29 @@ class FocalSource:
 def camera_from_exif(image: Image | ImageHeader) -> Camera:
     """Return the camera of a photograph from its metadata.
 
-    Square pixels, the principal point in the centre, no distortion. The sources of the focal length
-    are compared. In order of precision:
+    The camera has square pixels, a central principal point and no distortion. The sources of the
+    focal length are compared. In order of precision, they are:
 
-    1. the calibrated focal length in pixels that DJI drones write (XMP);
-    2. focal length in mm and resolution of the focal plane (FocalPlaneXResolution);
-    3. the 35 mm equivalent, taken against the diagonal of the frame (43.27 mm, as CIPA DCG-001
-       defines it): cameras of 3:2 have the same focal length either way, for those of 4:3 the width
-       (36 mm) would give 4 % less;
-    4. focal length in mm and the sensor's width from :mod:`sfmkit.io.sensors`;
+    1. the calibrated focal length in pixels of DJI drones (XMP);
+    2. the focal length in mm and the resolution of the focal plane (FocalPlaneXResolution);
+    3. the 35 mm equivalent with respect to the diagonal of the frame (43.27 mm, definition of CIPA
+       DCG-001); for images of 3:2 the width (36 mm) gives the same focal length, for images of 4:3
+       it would give 4 % less;
+    4. the focal length in mm and the sensor width from :mod:`sfmkit.io.sensors`;
     5. a guess, 1.2 times the longest side, with a :class:`CameraWarning` and
        ``Camera.source == "guessed"``.
 
-    Of sources that agree to 10 % the most precise one is taken. Where they disagree, the largest
-    group that agrees is taken; of two groups of one size the one that does not rest on a number in
-    pixels, because editors that resize a photograph keep the numbers of the full size. A
-    :class:`CameraWarning` then lists them all, and ``Camera.sigma`` holds the disagreement.
+    Sources agree if they differ by at most 10 %. The most precise source of the largest group of
+    agreeing sources is used. Of two groups of equal size, the one without values in pixels is
+    preferred, because editors that resize a photograph keep the values of the full size. If sources
+    disagree, a :class:`CameraWarning` lists all of them, and ``Camera.sigma`` contains the
+    disagreement.
 
-    A digital zoom multiplies the focal length of the lens; the 35 mm equivalent may include it or
-    not, and the reading that agrees with the other sources is taken.
+    A digital zoom multiplies the focal length of the lens. The 35 mm equivalent may or may not
+    include it; the interpretation that agrees with the other sources is used.
 
-    Where EXIF states the size at which the photograph was taken, the focal length is scaled with
-    the image's longest side: a resized photograph keeps its angle of view.
+    If EXIF contains the original size of the photograph, the focal length is scaled with the
+    longest side of the image, because a resized photograph keeps its angle of view.
     """
     w, h = image.size_wh
     exif = image.exif or Exif()
@@ -100,7 +101,7 @@ def camera_from_exif(image: Image | ImageHeader) -> Camera:
 
 
 def _largest_group(sources: list[FocalSource]) -> list[FocalSource]:
-    """The largest group of sources that agree with one of them, in order of precision."""
+    """Return the largest group of sources that agree with one source, in order of precision."""
     groups = [
         [s for s in sources if max(s.focal, c.focal) <= AGREEMENT * min(s.focal, c.focal)]
         for c in sources
@@ -109,7 +110,7 @@ def _largest_group(sources: list[FocalSource]) -> list[FocalSource]:
 
 
 def _sources(exif: Exif, image: Image | ImageHeader) -> list[FocalSource]:
-    """The sources of the focal length, the most precise first; in pixels of the image."""
+    """List the sources of the focal length in order of precision, in pixels of the image."""
     taken = _taken_size(exif, image)
     scale = max(image.size_wh) / max(taken)
     zoom = exif.digital_zoom or 1.0
@@ -140,11 +141,13 @@ def _nearer(one: float, two: float, to: float) -> bool:
 
 
 def _taken_size(exif: Exif, image: Image | ImageHeader) -> tuple[int, int]:
-    """The size at which the photograph was taken, where EXIF has it, else the image's own; in
-    either order."""
+    """Return the original size of the photograph from EXIF, or the size of the image.
+
+    Width and height may be swapped.
+    """
     if exif.size_wh is None:
         return image.size_wh
-    # Some software swaps the two numbers, so only their ratio counts.
+    # Some programs swap the two numbers, so only their ratio is used.
     if not same_shape(tuple(sorted(exif.size_wh)), tuple(sorted(image.size_wh))):
         (w, h), (w1, h1) = image.size_wh, exif.size_wh
         _warn(
@@ -157,7 +160,7 @@ def _taken_size(exif: Exif, image: Image | ImageHeader) -> tuple[int, int]:
 def _warn_of_unknown_size(
     chosen: FocalSource, sources: list[FocalSource], exif: Exif, image: Image | ImageHeader
 ) -> None:
-    """Warn where nothing shows whether numbers in pixels belong to this size."""
+    """Warn if it is unknown whether values in pixels refer to the size of this image."""
     if exif.size_wh is None and not any(s.survives_resizing for s in sources):
         _warn(
             f"the focal length of {image.name} is {chosen.focal:.0f} px from its {chosen.name}, "
@@ -167,7 +170,7 @@ def _warn_of_unknown_size(
 
 
 def same_shape(size1: Any, size2: Any) -> bool:
-    """Whether two sizes have one aspect ratio, to 1 % or the rounding of a pixel."""
+    """Return whether two sizes have the same aspect ratio, up to 1 % or rounding to pixels."""
     (w1, h1), (w2, h2) = size1, size2
     return abs(w1 * h2 - w2 * h1) <= max(0.01 * w1 * h2, w1, h1, w2, h2)
 

@@ -1,4 +1,4 @@
-"""Metadata of a photograph: EXIF tags, and the drone's own numbers from XMP."""
+"""Metadata of a photograph: EXIF tags, and XMP properties of drones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import PIL.Image
 
-# Tags of EXIF 2.32 (CIPA DC-008) by their numbers.
+# Numbers of the tags of EXIF 2.32 (CIPA DC-008).
 _MAKE, _MODEL, _ORIENTATION, _EXIF_IFD = 0x010F, 0x0110, 0x0112, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
 _PLANE_X, _PLANE_Y, _PLANE_UNIT = 0xA20E, 0xA20F, 0xA210
@@ -20,33 +20,33 @@ _GPS_IFD = 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 _UNIT_MM = {3: 10.0, 4: 1.0, 5: 0.001}  # every other value of the unit tag means inches
 _MAX_SIDE = 1_000_000  # pixels; a larger size is a damaged tag
-_XMP_BYTES = 1_000_000  # of an XMP packet that are searched; real packets have some kilobytes
+_XMP_BYTES = 1_000_000  # searched part of an XMP packet; real packets have some kilobytes
 
 
 @dataclass(frozen=True)
 class Exif:
-    """Metadata about the camera; None where there is none (zero, NaN and unreadable values count
-    as none).
+    """Metadata of the camera; None for missing values.
+
+    Zero, NaN and unreadable values count as missing.
 
     Attributes:
-        make, model: of the camera.
-        orientation: 1 to 8 as it was in the file (EXIF 2.32, tag 0x0112); the pixels of an
-            :class:`~sfmkit.io.images.Image` have been turned upright since.
-        focal_mm: focal length, mm.
-        focal_35mm: focal length of a 35 mm film camera with the same angle of view, mm; whole
-            numbers only.
-        focal_plane_resolution: pixels per mm on the sensor along the stored x and y.
-        digital_zoom: digital zoom ratio, 1 or more.
-        size_wh: width and height in pixels when the photograph was taken (PixelXDimension and
-            PixelYDimension); differs from the file's when the photograph was resized.
-        stored_wh: width and height of the pixels as stored, before they were turned upright.
-        calibrated_focal_px: focal length in pixels of the photograph as taken, from a drone's
-            factory calibration (XMP ``drone-dji:CalibratedFocalLength``).
-        relative_altitude_m: height above the take-off point, m (XMP
+        make, model: Manufacturer and model of the camera.
+        orientation: Orientation in the file, 1 to 8 (EXIF 2.32, tag 0x0112); the pixels of an
+            :class:`~sfmkit.io.images.Image` are already upright.
+        focal_mm: Focal length, mm.
+        focal_35mm: Focal length of a 35 mm film camera with the same angle of view, integer mm.
+        focal_plane_resolution: Pixels per mm on the sensor along the stored x and y.
+        digital_zoom: Digital zoom ratio, at least 1.
+        size_wh: Width and height at the time of capture, pixels (PixelXDimension and
+            PixelYDimension); different from the size of the file if the photograph was resized.
+        stored_wh: Width and height of the stored pixels, before they were turned upright.
+        calibrated_focal_px: Focal length in pixels of the original photograph, from the factory
+            calibration of a drone (XMP ``drone-dji:CalibratedFocalLength``).
+        relative_altitude_m: Height above the take-off point, metres (XMP
             ``drone-dji:RelativeAltitude``).
-        position: latitude and longitude, degrees, north and east positive (WGS 84), and altitude,
-            m; the altitude is NaN where there is none.
-        gimbal_deg: yaw, pitch and roll of the gimbal, degrees (XMP ``drone-dji:Gimbal...Degree``).
+        position: Latitude and longitude, degrees, north and east positive (WGS 84), and altitude,
+            metres; a missing altitude is NaN.
+        gimbal_deg: Yaw, pitch and roll of the gimbal, degrees (XMP ``drone-dji:Gimbal...Degree``).
     """
 
     make: str | None = None
@@ -65,12 +65,12 @@ class Exif:
 
 
 def read_exif(picture: PIL.Image.Image) -> Exif | None:
-    """Read the metadata of a picture whose pixels have not been loaded yet.
+    """Read the metadata of a picture whose pixels have not been loaded.
 
-    A damaged block gives what can be read of it and never stops the picture.
+    The readable values of a damaged block are used; a damaged block is not an error.
 
     Returns:
-        The metadata; None where the file has neither EXIF nor XMP.
+        The metadata; None if the file has neither EXIF nor XMP.
     """
     tags, xmp = _tags(picture), _xmp(picture)
     if not tags and not xmp:
@@ -103,7 +103,7 @@ def read_exif(picture: PIL.Image.Image) -> Exif | None:
 
 
 def _position(picture: PIL.Image.Image) -> tuple[float, float, float] | None:
-    """Where the photograph was taken, by the GPS tags; the altitude is NaN where it is missing."""
+    """Read the position from the GPS tags; a missing altitude is NaN."""
     try:
         tags = picture.getexif().get_ifd(_GPS_IFD)
         angles = []
@@ -118,7 +118,7 @@ def _position(picture: PIL.Image.Image) -> tuple[float, float, float] | None:
             angles.append(-angle if str(tags.get(reference)).startswith(south_or_west) else angle)
     except Exception:  # Pillow's parser raises almost anything on damaged blocks
         return None
-    if angles == [0.0, 0.0]:  # what receivers without a fix write
+    if angles == [0.0, 0.0]:  # written by receivers without a fix
         return None
     altitude = math.nan
     with suppress(Exception):
@@ -128,7 +128,7 @@ def _position(picture: PIL.Image.Image) -> tuple[float, float, float] | None:
 
 
 def _stored_size(picture: PIL.Image.Image, orientation: int) -> tuple[int, int]:
-    """Size of the stored pixels; Pillow gives the upright size for TIFF."""
+    """Return the size of the stored pixels; Pillow returns the upright size for TIFF."""
     w, h = picture.size
     return (h, w) if picture.format == "TIFF" and orientation >= 5 else (w, h)
 
@@ -152,7 +152,7 @@ def _xmp(picture: PIL.Image.Image) -> str:
 
 
 def _dji(xmp: str, name: str) -> float | None:
-    """The number of the XMP property ``drone-dji:NAME``, as an attribute or as an element."""
+    """Read the number of the XMP property ``drone-dji:NAME``, an attribute or an element."""
     found = re.search(rf'drone-dji:{name}\s*(?:=\s*"|>)\s*([-+]?[0-9.]{{1,20}})\s*["<]', xmp)
     try:
         return float(found[1]) if found else None
@@ -161,7 +161,7 @@ def _dji(xmp: str, name: str) -> float | None:
 
 
 def _positive(tags: Mapping[int, Any], tag: int, otherwise: float = 0.0) -> float:
-    """The tag as a positive finite number, else `otherwise`."""
+    """Return the tag as a positive finite number, or `otherwise`."""
     try:
         value = float(tags[tag])
     except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):

@@ -1,4 +1,4 @@
-"""The header of a photograph: its size and metadata, without its pixels."""
+"""Headers of photographs: size and metadata without pixels."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TURNED = (5, 6, 7, 8)  # EXIF orientations whose stored rows are columns
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a file says about a photograph.
+    """Size and metadata of a photograph.
 
     Attributes:
-        path: The file.
-        size_wh: Width and height in pixels, upright.
-        exif: Metadata about the camera; None where there are none.
+        path: Path of the file.
+        size_wh: Upright width and height, pixels.
+        exif: Metadata of the camera; None if there are none.
     """
 
     path: Path
@@ -34,19 +34,19 @@ class ImageHeader:
 
     @property
     def name(self) -> str:
-        """The file's name."""
+        """The name of the file."""
         return self.path.name
 
     @property
     def orientation(self) -> int:
-        """EXIF orientation, 1 to 8; 1 where there is none."""
+        """The EXIF orientation, 1 to 8; 1 if it is missing."""
         return self.exif.orientation if self.exif else 1
 
 
 def read_header(path: str | os.PathLike) -> ImageHeader:
     """Read the header of a photograph.
 
-    The pixels are not decoded, so a file that is damaged beyond its header is not noticed.
+    The pixels are not decoded, so damage behind the header is not detected.
 
     Raises:
         ImageError: The file is not an image of a known kind, or larger than 500 megapixels.

@@ -1,4 +1,4 @@
-"""Photographs into memory: decoded, upright, 8 bit, with the metadata about the camera."""
+"""Read photographs: decoded, upright, 8 bit, with the metadata of the camera."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .pixels import ImageWarning, floats_to_8bit, integers_to_8bit
 
 MAX_PIXELS = 500_000_000  # decoding takes 8 bytes per pixel, the image 4: 4 GB and 2 GB
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".gif")
-# The decoders that may be started (JPEG covers MPO). Some of Pillow's others start programs.
+# Permitted decoders (JPEG covers MPO). Some other decoders of Pillow start programs.
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "PPM", "GIF")
 READABLE = "JPEG, PNG, TIFF, BMP, WebP, PNM and GIF files can be read"
-TURNED_BY_THE_DECODER = ("TIFF",)  # Pillow and OpenCV return TIFF upright, everything else stored
-_FOREIGN = (  # (offset, first bytes, what it is)
+TURNED_BY_THE_DECODER = ("TIFF",)  # Pillow and OpenCV turn only TIFF upright
+_FOREIGN = (  # (offset, signature, description)
     (0, b"%!PS", "a PostScript file"),
     (0, b"\xc5\xd0\xd3\xc6", "a PostScript file"),
     (0, b"%PDF", "a PDF file"),
@@ -38,7 +38,7 @@ _FOREIGN = (  # (offset, first bytes, what it is)
     (0, b"8BPS", "a Photoshop file"),
 )
 
-_pillow_limit = threading.RLock()  # Pillow's own pixel limit is a global of its module
+_pillow_limit = threading.RLock()  # the pixel limit of Pillow is a global variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,10 @@ class Image:
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        grey: (H, W) uint8, ``0.299 R + 0.587 G + 0.114 B`` (ITU-R BT.601) rounded, as
-            ``cv2.cvtColor`` has it.
-        path: the file it came from, None for an array.
-        exif: what the file says about the camera, None for an array or a file without EXIF.
+        grey: (H, W) uint8, ``0.299 R + 0.587 G + 0.114 B`` (ITU-R BT.601), rounded as by
+            ``cv2.cvtColor``.
+        path: Path of the file; None for an array.
+        exif: Metadata of the camera; None for an array or a file without EXIF.
     """
 
     rgb: np.ndarray
@@ -74,7 +74,7 @@ class Image:
 
     @property
     def name(self) -> str:
-        """The file's name, or ``array``."""
+        """The name of the file, or ``array``."""
         return self.path.name if self.path else "array"
 
     def __repr__(self) -> str:
@@ -82,24 +82,24 @@ class Image:
 
 
 def read_image(source: str | os.PathLike | np.ndarray | Image) -> Image:
-    """Read a photograph from a file, or take one from an array.
+    """Read a photograph from a file or an array.
 
-    JPEG, PNG, TIFF, BMP, WebP, PNM and GIF are read; no other decoder is started. Files may be 8 or
-    16 bit, RGB, grey, palette or CMYK, 32-bit integer or float grey, with or without alpha; of
-    several frames the first is read. 16-bit values keep their high byte (``v >> 8``), unless they
-    use a small part of the range: then they are scaled by what they use, with an
-    :class:`~sfmkit.io.pixels.ImageWarning`. A JPEG file that decodes and is damaged has one, too.
-    Alpha is dropped: the stored colours are used, so that no edge is invented where the picture
-    becomes transparent. The EXIF orientation is applied once: sizes are upright sizes.
+    The formats are JPEG, PNG, TIFF, BMP, WebP, PNM and GIF; no other decoder is started. Files may
+    be 8 or 16 bit, RGB, grey, palette or CMYK, 32-bit integer or float grey, with or without alpha.
+    Of several frames the first one is read. 16-bit values keep their high byte (``v >> 8``) unless
+    they use only a small part of the range; then they are scaled by this part, with an
+    :class:`~sfmkit.io.pixels.ImageWarning`. A damaged JPEG file that can be decoded also causes a
+    warning. Alpha is dropped and the stored colours are used, so that no edge appears where the
+    image becomes transparent. The EXIF orientation is applied once; sizes are upright sizes.
 
     Args:
-        source: a path; or an array (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA of uint8,
-            uint16 or floats in [0, 1]; or an :class:`Image`, which comes back as it is.
+        source: A path; or an array (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA of uint8,
+            uint16 or floats in [0, 1]; or an :class:`Image`, which is returned unchanged.
 
     Raises:
-        ImageError: no such file, a folder, an empty, damaged, truncated or unknown file, more than
-            500 megapixels (checked before decoding, which takes 8 bytes per pixel), or an array
-            of another kind.
+        ImageError: The file is missing, a folder, empty, damaged, truncated or of an unknown
+            format, it has more than 500 megapixels (checked before decoding, which takes 8 bytes
+            per pixel), or the array has another shape or dtype.
     """
     if isinstance(source, Image):
         return source
@@ -111,7 +111,7 @@ def read_image(source: str | os.PathLike | np.ndarray | Image) -> Image:
 
 
 def _array_to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
-    """Check shape and dtype of `pixels` and bring their values to uint8."""
+    """Check shape and dtype of `pixels` and convert them to uint8."""
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)):
         raise ImageError(
             f"{what} must have shape (H, W), (H, W, 3) or (H, W, 4), not {pixels.shape}"
@@ -132,7 +132,7 @@ def _array_to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
 
 
 def _image(pixels: np.ndarray, path: Path | None = None, exif: Exif | None = None) -> Image:
-    """The image of (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) uint8 pixels."""
+    """Make the image of (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) uint8 pixels."""
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         grey = np.ascontiguousarray(pixels.reshape(pixels.shape[:2]))
         return Image(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), grey, path, exif)
@@ -145,10 +145,10 @@ def _read_file(path: Path) -> Image:
 
 
 def decode_image(data: bytes, path: Path) -> Image:
-    """Decode a file's bytes as :func:`read_image` does; `path` only names them in messages.
+    """Decode the bytes of a file as :func:`read_image` does; `path` is only used in messages.
 
     Raises:
-        ImageError: as there.
+        ImageError: As for :func:`read_image`.
     """
     try:
         with _open(data, path) as picture:
@@ -172,7 +172,7 @@ def _undecodable(path: Path, error: Exception) -> ImageError:
 
 
 def _read_bytes(path: Path) -> bytes:
-    """The file's bytes, or an ImageError that says what stands in their place."""
+    """Read the bytes of a file; an ImageError states why they cannot be read."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -198,7 +198,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _near_names(path: Path) -> str:
-    """A hint at what the missing `path` may have meant."""
+    """Suggest existing files for a missing `path`."""
     folder = path.parent
     if not folder.is_dir():
         return f" Nor is there a folder {folder}."
@@ -213,8 +213,7 @@ def _near_names(path: Path) -> str:
 
 
 def _open(data: bytes, path: Path) -> PIL.Image.Image:
-    """The picture with its header read and its pixels still encoded, checked to be of a bearable
-    size."""
+    """Open a picture without decoding its pixels, and check its size."""
     with no_pillow_limit():
         try:
             picture = PIL.Image.open(io.BytesIO(data), formats=FORMATS)
@@ -230,8 +229,7 @@ def _open(data: bytes, path: Path) -> PIL.Image.Image:
 
 @contextmanager
 def no_pillow_limit():
-    """Switch off Pillow's own limit (a warning from 89 megapixels on, an error from 179 on); one
-    thread at a time."""
+    """Switch off Pillow's limit (warning above 89 megapixels, error above 179) for one thread."""
     with _pillow_limit:
         limit, PIL.Image.MAX_IMAGE_PIXELS = PIL.Image.MAX_IMAGE_PIXELS, None
         try:
@@ -241,7 +239,7 @@ def no_pillow_limit():
 
 
 def _kind(data: bytes) -> str:
-    """What a file is that no decoder recognised."""
+    """Describe a file that no decoder recognised."""
     for offset, magic, kind in _FOREIGN:
         if data.startswith(magic, offset):
             return f"{kind}, not a photograph of a known kind"
@@ -293,9 +291,10 @@ def _decode(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarray:
 
 
 def _decode_jpeg(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarray | None:
-    """The stored pixels; None when the data end early, and then Pillow says what is wrong.
+    """Decode the stored pixels with OpenCV; return None if the data end early.
 
-    OpenCV uses the same library as Pillow and returns the same bits without a copy.
+    OpenCV uses the same library as Pillow and returns the same values without a copy. For truncated
+    data, Pillow reports the error.
     """
     flag = cv2.IMREAD_GRAYSCALE if picture.mode == "L" else cv2.IMREAD_COLOR_RGB
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -310,15 +309,17 @@ def _decode_jpeg(picture: PIL.Image.Image, data: bytes, path: Path) -> np.ndarra
 
 
 def _is_deep(picture: PIL.Image.Image, data: bytes) -> bool:
-    """Whether the file has 16 bits per channel (PNG specification, IHDR; TIFF 6.0,
-    BitsPerSample)."""
+    """Return whether the file has 16 bits per channel.
+
+    Source: PNG specification, IHDR; TIFF 6.0, BitsPerSample.
+    """
     if picture.format == "PNG":
         return data[24:25] == b"\x10"
     bits = getattr(picture, "tag_v2", {}).get(258, ())
     return picture.format == "TIFF" and set(bits if isinstance(bits, tuple) else (bits,)) == {16}
 
 
-# EXIF orientation -> what makes the stored rows and columns upright (EXIF 2.32, tag 0x0112)
+# EXIF orientation -> transformation to upright rows and columns (EXIF 2.32, tag 0x0112)
 _UPRIGHT = {
     2: lambda a: a[:, ::-1],
     3: lambda a: a[::-1, ::-1],

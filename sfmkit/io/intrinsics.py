@@ -1,7 +1,7 @@
-"""Given intrinsics, made to fit an image: its size, and the layout of its stored pixels.
+"""Adaptation of given intrinsics to the size and the orientation of an image.
 
-Intrinsics without a size of their own are judged: the principal point shows whether they belong to
-another size or to the pixels before they were turned upright.
+The principal point of intrinsics without a size shows whether they refer to an image of another
+size, or to the stored pixels before they were turned upright.
 """
 
 from __future__ import annotations
@@ -19,45 +19,47 @@ from ..types import Camera
 from .calibration import FORMS, Calibration, number, parse_numbers, read_calibration
 from .cameras import CameraWarning, centred_camera, same_shape
 
-OFF_CENTRE = 0.06  # of a side: real lenses stay within, and K of another layout or size does not
-_SCALED = 0.1  # from this change of size on, a principal point in proportion shows another size
-_PROPORTION = 0.04  # to which it must be in proportion
-_TURNED = 0.002  # of the longest side: where the principal point shows a turn by 180 degrees
-_SQUARE = (0.9, 1.1)  # fy / fx of pixels that count as square
-_ANAMORPHIC = (0.5, 2.0)  # beyond, the focal lengths are not those of one lens
-_SKEW = 0.05  # of the focal length
-_BENT = 0.5  # displacement by distortion, of the distance from the centre, that is unusual
-_ANGLE = (0.1, 50)  # focal length in longest sides: 157 degrees to 1.1 degrees across
+OFF_CENTRE = 0.06  # largest offset of the principal point of a real lens over a side
+_SCALED = 0.1  # smallest change of size that the principal point shows
+_PROPORTION = 0.04  # tolerance of the proportion of its two coordinates
+_TURNED = 0.002  # offset over the longest side that shows a turn by 180 degrees
+_SQUARE = (0.9, 1.1)  # range of fy / fx of square pixels
+_ANAMORPHIC = (0.5, 2.0)  # possible range of fy / fx
+_SKEW = 0.05  # largest skew over the focal length
+_BENT = 0.5  # unusual displacement by distortion over the distance from the centre
+_ANGLE = (0.1, 50)  # focal length over the longest side: 157 to 1.1 degrees
 
 
 def parse_intrinsics(
     text: str | os.PathLike, size_wh: tuple[int, int], *, orientation: int = 1
 ) -> Camera:
-    """Return the camera that a text describes, for an image of `size_wh` pixels.
+    """Parse intrinsics for an image of `size_wh` pixels.
 
     Args:
-        text: one of
+        text: One of
 
             - ``fx,fy,cx,cy`` with up to five more numbers ``k1,k2,p1,p2,k3``: pixels, the centre of
               the top-left pixel at (0, 0), OpenCV's distortion;
             - ``24mm/36mm``: focal length and width of the sensor along the image's longest side,
-              the principal point in the centre;
+              with a central principal point;
             - a file: a 3x3 matrix of numbers separated by spaces, commas or semicolons, in rows or
               on one line, optionally followed by a line of distortion, with comments from ``#`` on;
               one line as above; JSON ``{"K": 3x3, "size_wh": [w, h], "distortion": [...]}``, the
               last two optional; YAML or JSON of OpenCV, ROS (``camera_info``) or Kalibr; the text
-              that MATLAB prints of its camera parameters; COLMAP's ``cameras.txt``; a ``.camera``
+              of camera parameters printed by MATLAB; COLMAP's ``cameras.txt``; a ``.camera``
               file of the EPFL data sets. docs/inputs.md has the details.
-        size_wh: upright size of the image.
+        size_wh: Upright size of the image, pixels.
         orientation: EXIF orientation by which the image was turned upright
             (:attr:`sfmkit.io.exif.Exif.orientation`). Intrinsics of the stored pixels are turned
-            with it, with a :class:`~sfmkit.io.cameras.CameraWarning`.
+            accordingly, with a :class:`~sfmkit.io.cameras.CameraWarning`.
 
-    Intrinsics with a size are scaled to an image of the same shape, with a warning.
+    Returns:
+        The camera. Intrinsics with a size are scaled to an image of the same aspect ratio, with a
+        warning.
 
     Raises:
-        CameraError: no such file, malformed numbers, another shape or size, or intrinsics that no
-            camera has.
+        CameraError: The file is missing, a number is malformed, the size or aspect ratio differs,
+            or the intrinsics are impossible.
     """
     text = os.fspath(text).strip()
     millimetres = re.fullmatch(r"([^/]+?)\s*mm\s*/\s*([^/]+?)\s*mm", text)
@@ -88,11 +90,14 @@ def fit_intrinsics(
     """Return the camera of a calibration for an image of `size_wh` pixels.
 
     Args:
+        calibration: The calibration.
+        size_wh: Upright size of the image, pixels.
         orientation: EXIF orientation by which the image was turned upright.
-        where: name of the calibration in messages.
+        where: Name of the calibration in messages.
 
     Raises:
-        CameraError: intrinsics that no camera has, or of another shape or size than the image's.
+        CameraError: The intrinsics are impossible, or their size or aspect ratio differs from that
+            of the image.
     """
     stored = size_wh[::-1] if orientation >= 5 else size_wh
     if calibration.size_wh is None:
@@ -125,13 +130,14 @@ def fit_intrinsics(
 
 
 def turned(camera: Camera, orientation: int) -> Camera:
-    """Return the camera of the upright pixels, of a camera for the stored pixels.
+    """Convert the camera of the stored pixels to the camera of the upright pixels.
 
     Args:
+        camera: Camera of the stored pixels.
         orientation: EXIF orientation, 1 to 8.
 
     Raises:
-        CameraError: skew or a tilted sensor, which the turn does not preserve.
+        CameraError: The camera has skew or a tilted sensor, which the turn does not preserve.
     """
     swap = orientation >= 5
     mirror = (-1 if orientation in (2, 3, 6, 7) else 1, -1 if orientation in (3, 4, 7, 8) else 1)
@@ -160,7 +166,7 @@ def turned(camera: Camera, orientation: int) -> Camera:
 
 
 def _off_centre(K: np.ndarray, size_wh: tuple[int, int]) -> float:
-    """Distance of the principal point from the centre, of a side, the larger of both axes."""
+    """Return the larger offset of the principal point from the centre over the side."""
     size = np.array(size_wh)
     return float((np.abs(K[:2, 2] - (size - 1) / 2) / size).max())
 
@@ -168,10 +174,10 @@ def _off_centre(K: np.ndarray, size_wh: tuple[int, int]) -> float:
 def _belongs_to_stored(
     K: np.ndarray, upright: tuple[int, int], stored: tuple[int, int], where: str
 ) -> bool:
-    """Whether K, which states no size, belongs to the stored pixels.
+    """Return whether K without a size refers to the stored pixels.
 
     Raises:
-        CameraError: it belongs to an image of another size, or turned in another way.
+        CameraError: K refers to an image of another size or orientation.
     """
     if K.shape != (3, 3) or not np.isfinite(K).all():
         return False  # Camera refuses it
@@ -214,7 +220,7 @@ def _misfit(given: tuple[int, int], size_wh: tuple[int, int], where: str) -> Cam
 
 
 def _judge(camera: Camera, where: str) -> None:
-    """Refuse what no camera has, and warn of what hardly any has."""
+    """Raise an error for impossible intrinsics, and warn of unusual ones."""
     (cx, cy), (w, h), fx, fy = camera.K[:2, 2], camera.size_wh, camera.K[0, 0], camera.K[1, 1]
     ratio, skew = fy / fx, abs(camera.K[0, 1]) / fx
     if not _ANAMORPHIC[0] <= ratio <= _ANAMORPHIC[1] or skew > 1:
@@ -246,7 +252,7 @@ def _judge(camera: Camera, where: str) -> None:
 
 
 def _moved_at_the_edge(camera: Camera) -> float:
-    """How far radial distortion moves the middle of the farther edge, of its distance."""
+    """Return the radial displacement at the middle of the farther edge over its distance."""
     if camera.model != "opencv":
         return 0.0
     s = (max(camera.size_wh) / 2 / camera.K[0, 0]) ** 2

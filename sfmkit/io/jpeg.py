@@ -1,7 +1,7 @@
-"""Damage in JPEG files that decoders pass over in silence.
+"""Detection of damage in JPEG files that decoders do not report.
 
-A JPEG decoder turns any bits into pixels, so a file with a lost disk sector still decodes. The
-checks here look at what a sound file cannot hold (ITU-T T.81, annex B).
+A JPEG decoder converts any bits to pixels, so a file with a lost disk sector can still be decoded.
+The checks look for data that an intact file cannot contain (ITU-T T.81, annex B).
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import numpy as np
 
 _ZEROS = bytes(512)  # one disk sector
 _FLAT_ROWS = 16  # of pixels: one row of blocks with subsampled colour
-_BASELINE = {0xC0, 0xC1}  # frames coded in one pass; in others, zeros mean less
+_BASELINE = {0xC0, 0xC1}  # frames coded in one pass; in other frames long runs of zeros are valid
 _SOS, _DHT, _EOI, _DNL = 0xDA, 0xC4, 0xD9, 0xDC
 _TABLES = {*range(0xC0, 0xD0), *range(0xDB, 0xF0), 0xFE}  # markers that may follow a scan
 _MARKER = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 
 
 def jpeg_damage(data: bytes, pixels: np.ndarray) -> str | None:
-    """Say how a JPEG file that decoded is damaged; None for a sound one.
+    """Describe the damage of a JPEG file that was decoded; return None for an intact file.
 
     Args:
-        data: the file.
-        pixels: (H, W) or (H, W, 3) uint8, decoded and not turned.
+        data: Bytes of the file.
+        pixels: (H, W) or (H, W, 3) uint8 decoded pixels, not turned upright.
 
     Returns:
         ``a block of zeros lies in the picture data``, ``picture data hold an invalid marker`` or
@@ -33,7 +33,7 @@ def jpeg_damage(data: bytes, pixels: np.ndarray) -> str | None:
 
 
 def _scan_damage(data: bytes) -> str | None:
-    """Walk through the segments and look at the entropy-coded data between them."""
+    """Check the entropy-coded data between the segments."""
     position, baseline, zeros_mean_detail = 2, False, False
     while position + 4 <= len(data) and data[position] == 0xFF:
         marker = data[position + 1]
@@ -60,10 +60,10 @@ def _scan_damage(data: bytes) -> str | None:
 
 
 def _zero_code_is_a_coefficient(body: bytes) -> bool:
-    """Whether an AC table gives its first code, which is all zeros, to a coefficient.
+    """Return whether an AC table assigns its first code, all zeros, to a coefficient.
 
-    Zeros then mean full detail in every block. Tables made for a flat picture give that code to
-    "end of block", and zeros are not damage.
+    Then a run of zeros encodes full detail in every block, which does not occur. In tables for a
+    uniform picture this code is "end of block", and a run of zeros is valid.
     """
     while len(body) >= 18:
         count = sum(body[1:17])
@@ -74,8 +74,10 @@ def _zero_code_is_a_coefficient(body: bytes) -> bool:
 
 
 def _fill(pixels: np.ndarray) -> str | None:
-    """Decoders fill what is missing at the end with one colour; black and white are left out
-    because borders and backgrounds have them."""
+    """Detect a lower part of one colour, with which decoders fill missing data.
+
+    Black and white are ignored because borders and backgrounds have these colours.
+    """
     if len(pixels) < 2 * _FLAT_ROWS:
         return None
     flat = pixels[-_FLAT_ROWS:].reshape(-1, *pixels.shape[2:])

@@ -1,4 +1,4 @@
-"""Pixel values of any depth brought to 8 bit."""
+"""Conversion of pixel values of any depth to 8 bit."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from .._utils.notices import warn
 from ..errors import ImageError
 
 DEPTHS = (8, 10, 12, 14, 16, 24, 31, 32)  # bits that sensors and files use
-LEVELS = 64  # grey levels that are too few: what 14-bit values in a 16-bit file would become
-_INNER = (0.1, 99.9)  # percentiles that stand for the darkest and the brightest value
-_SAMPLES = 1_000_000  # values from which the percentiles are taken
-_ROWS = 256  # stretched at a time
+LEVELS = 64  # fewer grey levels are too few, such as those of 14-bit values in a 16-bit file
+_INNER = (0.1, 99.9)  # percentiles of the darkest and the brightest value
+_SAMPLES = 1_000_000  # number of values for the percentiles
+_ROWS = 256  # rows that are stretched at a time
 
 
 class ImageWarning(UserWarning):
-    """A picture was adapted or may be damaged; results depend on it."""
+    """Warning: an image was adapted or may be damaged, and results depend on it."""
 
 
 def integers_to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
-    """Bring integers of more than 8 bit to uint8.
+    """Convert integers of more than 8 bit to uint8.
 
-    16-bit values keep their high byte. Values that use a small part of the range would become a
-    few grey levels that way: 12-bit values in a 16-bit file are then taken as 12 bit, and values in
-    a narrow band (thermal pictures) are stretched from the darkest to the brightest, both with an
-    :class:`ImageWarning`. For 32-bit integers the range is the smallest usual depth that holds the
-    largest value.
+    16-bit values keep their high byte. With this rule, values that use a small part of the range
+    would become a few grey levels. Therefore, 12-bit values in a 16-bit file are interpreted as
+    12 bit, and values in a narrow band (thermal images) are stretched from the darkest to the
+    brightest value, both with an :class:`ImageWarning`. The range of 32-bit integers is the
+    smallest common depth that contains the largest value.
     """
     low, high = int(pixels.min()), int(pixels.max())
     full = 16 if pixels.dtype.itemsize == 2 else _depth(high)
@@ -46,14 +46,16 @@ def integers_to_8bit(pixels: np.ndarray, what: str) -> np.ndarray:
 
 
 def floats_to_8bit(pixels: np.ndarray, what: str, *, stretch: bool = False) -> np.ndarray:
-    """Bring floats in [0, 1] to uint8.
+    """Convert floats in [0, 1] to uint8.
 
     Args:
-        stretch: stretch values outside [0, 1] from the darkest to the brightest, with an
-            :class:`ImageWarning`, instead of refusing them.
+        pixels: Array of floats.
+        what: Name of the image in messages.
+        stretch: Whether to stretch values outside [0, 1] from the darkest to the brightest value,
+            with an :class:`ImageWarning`, instead of raising an error.
 
     Raises:
-        ImageError: NaN or infinite values; values outside [0, 1] without `stretch`.
+        ImageError: A value is NaN or infinite, or is outside [0, 1] without `stretch`.
     """
     if not np.isfinite(pixels).all():
         raise ImageError(f"{what} holds NaN or infinite values")
@@ -79,7 +81,7 @@ def _inner_range(pixels: np.ndarray) -> tuple[float, float]:
 
 
 def _depth(largest: int) -> int:
-    """The smallest usual number of bits that holds `largest`."""
+    """Return the smallest common number of bits for `largest`."""
     return next((bits for bits in DEPTHS if largest < 2**bits), 64)
 
 
@@ -90,7 +92,7 @@ def _shift(pixels: np.ndarray, bits: int) -> np.ndarray:
 def _stretch(pixels: np.ndarray, dark: float, bright: float) -> np.ndarray:
     scale = 255 / (bright - dark) if bright > dark else 0.0
     grey = np.empty(pixels.shape, np.uint8)
-    for start in range(0, len(pixels), _ROWS):  # by blocks, so that the floats stay small
+    for start in range(0, len(pixels), _ROWS):  # in blocks, to limit the memory for floats
         rows = pixels[start : start + _ROWS].astype(np.float64)
         grey[start : start + _ROWS] = np.rint(((rows - dark) * scale).clip(0, 255))
     return grey

@@ -1,4 +1,4 @@
-"""Point clouds as PLY files: with provenance as written here, and from other programs."""
+"""Point clouds as PLY files, with provenance or from other programs."""
 
 from __future__ import annotations
 
@@ -48,24 +48,30 @@ def write_ply(
 ) -> None:
     """Write a cloud as binary little-endian PLY, completely or not at all.
 
-    In the frame of camera 1 (x right, y down, z forward), in baselines. Properties of a vertex:
+    Coordinates are in the frame of camera 1 (x right, y down, z forward), in baselines. The
+    properties of a vertex are:
 
-    - ``x y z``: float, which viewers expect; double where float would move points, see
-      :func:`needs_double`;
+    - ``x y z``: float, which viewers expect, or double if float is not precise enough
+      (:func:`needs_double`);
     - ``red green blue`` uchar;
-    - ``operators`` uint: a bit for each operator that found the point, named in the header's
-      comments (those from the 33rd on are in ``operators_high``);
-    - ``operator`` uchar: the number of the one whose position was kept;
-    - ``match`` int: the point's row in the correspondences;
+    - ``operators`` uint: one bit per operator that found the point; the comments of the header name
+      the bits (those from the 33rd on are in ``operators_high``);
+    - ``operator`` uchar: number of the operator whose position was kept;
+    - ``match`` int: row of the point in the correspondences;
     - ``reprojection_error`` float, pixels, and ``parallax`` float, degrees;
-    - ``cxx cxy cxz cyy cyz czz`` float, where the cloud has covariances;
-    - `fields`, float: names and (M,) tensors of further values, such as a density.
+    - ``cxx cxy cxz cyy cyz czz`` float, if the cloud has covariances;
+    - `fields` float.
 
-    A cloud without operators comes from another program: its provenance and its frame are not
-    known, and none is written.
+    A cloud without operators comes from another program. Its provenance and its frame are unknown
+    and not written.
+
+    Args:
+        path: Path of the file.
+        cloud: M points.
+        fields: Names and (M,) tensors of further values, such as a density.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: The file cannot be written.
     """
     mask = cloud.operator_mask
     kind = "<f8" if needs_double(cloud) else "<f4"
@@ -102,12 +108,12 @@ def write_ply(
 
 
 def needs_double(cloud: PointCloud) -> bool:
-    """Whether the positions of a cloud need 64-bit numbers.
+    """Return whether the positions of a cloud need 64-bit numbers.
 
-    A cloud made here has its points around the cameras, in baselines: rounding to 32 bit is 1 in
-    10^7, far below a triangulated point's own error. It needs double when it has been moved so far
-    from the origin that rounding exceeds 10^-6 of its extent. A cloud of another program needs
-    double unless its numbers are 32-bit numbers.
+    The points of a cloud of sfmkit are around the cameras, in baselines. Rounding to 32 bit changes
+    them by 1 in 10^7, far less than the error of a triangulated point. The cloud needs 64 bit if it
+    was moved so far from the origin that rounding exceeds 10^-6 of its extent. A cloud of another
+    program needs 64 bit unless its numbers are 32-bit numbers.
     """
     xyz = cloud.xyz
     if not len(xyz):
@@ -120,22 +126,22 @@ def needs_double(cloud: PointCloud) -> bool:
 
 
 def _some(xyz: Tensor) -> Tensor:
-    """At most 100,000 of the points, evenly."""
+    """Return at most 100,000 evenly spaced rows of the points."""
     return xyz[:: max(1, len(xyz) // 100_000)]
 
 
 def read_ply(path: str | os.PathLike) -> PointCloud:
     """Read the vertices of a PLY file, of this package or of another program, ASCII or binary.
 
-    Positions are read in the precision of the file. What a file of another program does not have
-    gets a default: colour mid-grey; no operators, masks 0; ``operator_id`` 0 and ``match`` -1;
-    reprojection error and parallax NaN; no covariance. Colours may be bytes, 16 bit, or floats in
-    [0, 1] or [0, 255]. Vertices whose position is not finite are dropped with a warning that counts
-    them. Lists, normals and everything but the vertices are ignored.
+    Positions are read in the precision of the file. Missing properties have defaults: mid-grey
+    colours; no operators, masks 0; ``operator_id`` 0 and ``match`` -1; reprojection error and
+    parallax NaN; no covariance. Colours may be bytes, 16 bit, or floats in [0, 1] or [0, 255].
+    Vertices without a finite position are dropped, and a warning states their number. Lists,
+    normals and all elements except vertices are ignored.
 
     Raises:
-        InputError: no such file, not a PLY file, a damaged or truncated one, or one without a
-            usable vertex. The message has the element and the row where it can.
+        InputError: The file is missing, not a PLY file, damaged or truncated, or has no usable
+            vertex. The message contains the element and the row if they are known.
     """
     path = Path(path)
     comments, vertices = _parse(path)
@@ -164,13 +170,13 @@ def read_ply(path: str | os.PathLike) -> PointCloud:
         )
         xyz, vertices = xyz[finite], vertices[finite]
     operators = _operators(comments)
-    if not operators:  # another program's columns of these names mean something else
+    if not operators:  # columns with these names have another meaning in other programs
         names = {key: name for key, name in names.items() if key not in _PROVENANCE}
 
     def column(name: str, otherwise: float, dtype: torch.dtype) -> Tensor:
         if name in names:
             return torch.from_numpy(vertices[names[name]].astype(np.float64)).to(dtype)
-        # one number seen `kept` times: millions take no memory
+        # a broadcast view of one number takes no memory
         return torch.tensor(otherwise, dtype=dtype).expand(kept)
 
     covariance = None
@@ -198,7 +204,7 @@ def read_ply(path: str | os.PathLike) -> PointCloud:
 
 
 def _parse(path: Path) -> tuple[list[str], np.ndarray]:
-    """Comments of the header, and the vertices as a structured array."""
+    """Read the comments of the header, and the vertices as a structured array."""
     try:
         header = read_header(path)
         return _parse_body(path, header)
@@ -220,7 +226,7 @@ def _parse_body(path: Path, header: Header) -> tuple[list[str], np.ndarray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's, for empty lists
-            if header.as_is:  # binary vertices stay in the file until they are looked at
+            if header.as_is:  # binary vertices are memory-mapped
                 ply = PlyData.read(path, mmap="c")
             else:
                 body = path.read_bytes()[header.size :]
@@ -234,7 +240,7 @@ def _parse_body(path: Path, header: Header) -> tuple[list[str], np.ndarray]:
 
 
 def _columns(vertices: np.ndarray, names: list[str], dtype: type) -> np.ndarray:
-    """(N, len(names)) array of some of the vertices' properties."""
+    """Return an (N, len(names)) array of properties of the vertices."""
     columns: np.ndarray = np.empty((len(vertices), len(names)), dtype)
     for k, name in enumerate(names):
         columns[:, k] = vertices[name]
@@ -242,7 +248,7 @@ def _columns(vertices: np.ndarray, names: list[str], dtype: type) -> np.ndarray:
 
 
 def _colours(vertices: np.ndarray, names: dict[str, str]) -> Tensor:
-    """(N, 3) uint8."""
+    """Return (N, 3) uint8 colours."""
     for triple in _COLOURS:
         if not set(triple) <= names.keys():
             continue
@@ -261,7 +267,7 @@ def _colours(vertices: np.ndarray, names: dict[str, str]) -> Tensor:
 
 
 def _operators(comments: list[str]) -> tuple[str, ...]:
-    """The names of the bits in the header."""
+    """Read the names of the bits from the header."""
     named = [
         comment.removeprefix(_BIT).split(" = ", 1)
         for comment in comments

@@ -1,8 +1,8 @@
-"""The header of a PLY file, and the ASCII bodies that plyfile refuses.
+"""Headers of PLY files, and ASCII bodies that plyfile cannot read.
 
-plyfile reads what follows the format's description to the letter. Other programs also read headers
-with a byte order mark, blank lines, spaces at the ends of lines or text that is not ASCII, and
-bodies as a stream of words without regard to lines; so does this module.
+plyfile accepts only files that follow the specification exactly. Like other programs, this module
+also accepts headers with a byte order mark, blank lines, trailing spaces or text that is not ASCII,
+and bodies whose words are not arranged in lines.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from ..errors import InputError
 
-_HEADER_BYTES = 1_000_000  # that are searched for the header's end
-_BODY_BYTES = 200_000_000  # of the largest ASCII body that is read word by word
+_HEADER_BYTES = 1_000_000  # largest header
+_BODY_BYTES = 200_000_000  # largest ASCII body that is read word by word
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -32,21 +32,23 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class Property:
-    """A property of an element: its name, NumPy type, and the type of a list's length (None: not a
-    list)."""
+    """A property of an element: name, NumPy type, and type of the length of a list.
+
+    The last one is None for a scalar.
+    """
 
     name: str
     kind: str
     length_kind: str | None = None
 
     def least_bytes(self, text: bool) -> int:
-        """How many bytes of the body it takes at least."""
+        """Return the smallest number of bytes that the property takes in the body."""
         return 2 if text else np.dtype(self.length_kind or self.kind).itemsize
 
 
 @dataclass(frozen=True)
 class Element:
-    """An element: its name, how many there are, and their properties."""
+    """An element: its name, count and properties."""
 
     name: str
     count: int
@@ -58,12 +60,12 @@ class Header:
     """A PLY header.
 
     Attributes:
-        text: whether the body is ASCII.
-        elements: in the order of the body.
-        comments: without the word "comment".
-        size: bytes up to the body.
-        canonical: the same header as plyfile needs it.
-        as_is: whether the file's header already is what plyfile needs.
+        text: Whether the body is ASCII.
+        elements: Elements in the order of the body.
+        comments: Comments without the word "comment".
+        size: Number of bytes before the body.
+        canonical: The same header in a form that plyfile accepts.
+        as_is: Whether plyfile accepts the header of the file.
     """
 
     text: bool
@@ -78,8 +80,8 @@ def read_header(path: Path) -> Header:
     """Read and check the header of a file.
 
     Raises:
-        InputError: not a PLY header, or one that declares more than the file holds.
-        OSError: the file cannot be read.
+        InputError: The header is invalid, or declares more data than the file contains.
+        OSError: The file cannot be read.
     """
     with path.open("rb") as file:
         head = file.read(_HEADER_BYTES)
@@ -93,7 +95,7 @@ def read_header(path: Path) -> Header:
     newline = re.search(rb"\r\n|\r|\n", head)
     size = end.end()
     if end[1] == b"\r\n" and newline and newline[0] == b"\r":
-        size -= 1  # the line feed is the body's first byte
+        size -= 1  # the line feed is the first byte of the body
     raw = head[: end.start()].decode("utf-8", "replace")
     lines = [_canonical(line) for line in re.split(r"\r\n|\r|\n", raw)]
     lines = ["ply", *(line for line in lines[1:] if line), "end_header"]
@@ -115,13 +117,13 @@ def read_header(path: Path) -> Header:
 
 
 def _canonical(line: str) -> str:
-    """The line with single spaces; a comment as it is."""
+    """Return the line with single spaces; comments are not changed."""
     words = line.split()
     return line if words and words[0] in ("comment", "obj_info") else " ".join(words)
 
 
 def _parse(lines: list[str]) -> tuple[bool, tuple[Element, ...]]:
-    """Whether the body is text, and the elements, of the header's lines."""
+    """Parse the lines of a header: whether the body is text, and the elements."""
     text: bool | None = None
     elements: list[Element] = []
     for number, line in enumerate(lines[1:-1], start=2):
@@ -155,7 +157,7 @@ def read_words(path: Path, header: Header, name: str) -> np.ndarray | None:
     """Read the scalar properties of one element of an ASCII file, word by word.
 
     Returns:
-        A structured array; None where the file is binary, too large, or holds too few words or
+        A structured array; None if the file is binary, too large, or contains too few words or
         words that are not numbers.
     """
     data = path.read_bytes()[header.size :] if header.text else b""
@@ -174,7 +176,7 @@ def read_words(path: Path, header: Header, name: str) -> np.ndarray | None:
 
 
 def _rows(words: list[bytes], position: int, element: Element) -> tuple[np.ndarray, int]:
-    """The scalar properties of an element whose words start at `position`, and where they end."""
+    """Read the scalar properties of an element from `position`; also return their end."""
     scalars = [p for p in element.properties if p.length_kind is None]
     rows = np.zeros(element.count, [(p.name, p.kind) for p in scalars])
     if len(scalars) == len(element.properties):
@@ -199,7 +201,7 @@ def _rows(words: list[bytes], position: int, element: Element) -> tuple[np.ndarr
 
 
 def _number(word: bytes) -> float:
-    """A number, with NaN for the ways in which C runtimes write it and infinity."""
+    """Convert a word to a number; NaN also for the spellings of NaN and infinity of C runtimes."""
     try:
         return float(word)
     except ValueError:

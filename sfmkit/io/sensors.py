@@ -1,8 +1,7 @@
-"""Widths of the sensors of common cameras: manufacturers' nominal values in mm, along the longest
-side.
+"""Sensor widths of common cameras: nominal values of the manufacturers in mm, longest side.
 
-They turn a focal length in mm from EXIF into pixels. The names are EXIF's Make and Model as
-:func:`sensor_width` folds them; a missing camera takes one more entry.
+They convert a focal length in mm from EXIF to pixels. The keys are Make and Model of EXIF in the
+form of :func:`sensor_width`. To support another camera, add an entry.
 """
 
 from __future__ import annotations
@@ -100,9 +99,9 @@ SENSOR_WIDTH_MM = {
 
 
 def sensor_width(make: str | None, model: str | None) -> float | None:
-    """Return the width in mm of the sensor of the camera with these EXIF names.
+    """Return the sensor width in mm of the camera with these EXIF names.
 
-    None for a camera that is not in the table.
+    None is returned for a camera that is not in the table.
     """
     maker = (make or "").lower().removesuffix("corporation").split() or [""]
     name = " ".join((model or "").lower().split()).removeprefix(maker[0]).strip()

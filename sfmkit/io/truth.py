@@ -1,4 +1,4 @@
-"""True poses to compare a reconstruction with."""
+"""True poses for the evaluation of a reconstruction."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def read_truth(
     """Read the true pose of camera 2 with respect to camera 1, ``X2 = R X1 + t``.
 
     Args:
-        source: a JSON file with ``"R"`` (3x3) and ``"t"`` (3); two ``.camera`` files of the EPFL
+        source: A JSON file with ``"R"`` (3x3) and ``"t"`` (3); two ``.camera`` files of the EPFL
             data sets as ``A.camera,B.camera``; or a folder of such files, named ``<image>.camera``.
-        image1, image2: the photographs, to find their files in a folder.
+        image1, image2: Paths of the photographs, to find their files in a folder.
 
     Returns:
-        R (3, 3) and t (3,) float64, t in the source's units.
+        R (3, 3) and t (3,) float64, t in the units of the source.
 
     Raises:
-        InputError: no such file, another content, or an R that is not a rotation.
+        InputError: The file is missing or has other contents, or R is not a rotation matrix.
     """
     text = os.fspath(source)
     path = Path(text)
@@ -54,7 +54,7 @@ def read_truth(
 
 
 def _read_pose(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation camera-to-world and centre of an EPFL ``.camera`` file: ``x_cam = R^T (X - C)``."""
+    """Read R and C of an EPFL ``.camera`` file, ``x_cam = R^T (X - C)``."""
     rows = [
         [number(word, str(path)) for word in line.split()]
         for line in read_text(path).splitlines()
@@ -71,7 +71,7 @@ def _read_pose(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _relative(
     pose1: tuple[np.ndarray, np.ndarray], pose2: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``X = R1 X1 + C1`` in ``X2 = R2^T (X - C2)``."""
+    """Compute the relative pose by inserting ``X = R1 X1 + C1`` in ``X2 = R2^T (X - C2)``."""
     (R1, C1), (R2, C2) = pose1, pose2
     return R2.T @ R1, R2.T @ (C1 - C2)
 

@@ -1,4 +1,4 @@
-"""Rendered scenes with exact truth: surfaces, materials, textures, ray casting."""
+"""Rendered scenes with exact ground truth: surfaces, materials, textures and ray casting."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""What the surfaces of the rendered scenes are made of: brick, plaster, stone, wood, cobbles,
-glazed ceramic.
+"""Materials of the rendered scenes: brick, plaster, stone, wood, cobbles, glazed ceramic.
 
-A material maps places (u, v) in metres and the footprint of a pixel there to an albedo (N, 3) in
-linear light and, where it is bumpy, to the slope (N, 2) of its bumps. Steps and noises are averaged
-over the footprint: nothing aliases.
+A material maps positions (u, v) in metres and the footprint of a pixel to an albedo (N, 3) in
+linear light and, if it is bumpy, to the slope (N, 2) of its bumps. Steps and noise are averaged
+over the footprint to avoid aliasing.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ Array = np.ndarray
 
 
 def mix(a: Array, b: Array, weight: Array) -> Array:
-    """`a` where `weight` (N,) is 0, `b` where it is 1."""
+    """Interpolate from `a` at `weight` (N,) 0 to `b` at weight 1."""
     return a + weight.astype(np.float32)[:, None] * (b - a)
 
 
 def tone(colour: Array, change: Array) -> Array:
-    """`colour` made lighter or darker by `change` (N,) stops of e."""
+    """Multiply `colour` by the exponential of `change` (N,)."""
     return colour * np.exp(change).astype(np.float32)[:, None]
 
 
@@ -46,8 +45,10 @@ MORTAR_COLOUR = linear("#b3a68f")
 
 
 def brick_cells(u: Array, v: Array) -> tuple[Array, Array, Array]:
-    """Row and column of the brick at (u, v) in a running bond, and the metres to the middle of the
-    joint."""
+    """Compute row and column of the brick at (u, v), and the distance to the joint, metres.
+
+    The bricks are laid in a running bond.
+    """
     row = np.floor(v / COURSE)
     along = u / LENGTH + 0.5 * (row % 2)
     column = np.floor(along)
@@ -56,7 +57,7 @@ def brick_cells(u: Array, v: Array) -> tuple[Array, Array, Array]:
 
 
 def brick_height(u: Array, v: Array) -> Array:
-    """Relief of a brick wall in metres: every brick stands out by its own amount, a few by much."""
+    """Compute the relief of a brick wall, metres; bricks protrude by different amounts."""
     row, column, edge = brick_cells(u, v)
     r = dice(row, column)
     proud = 0.007 + 0.008 * r[:, 1] + 0.013 * (r[:, 2] > 0.93)
@@ -64,8 +65,7 @@ def brick_height(u: Array, v: Array) -> Array:
 
 
 def brick(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """Weathered bricks of many colours in light mortar, with soot, efflorescence and patches of old
-    lime wash."""
+    """Compute weathered bricks in light mortar, with soot, efflorescence and lime wash."""
     row, column, edge = brick_cells(u, v)
     r = dice(row, column)
     n = _noise(u + 7 * r[:, 0], v + 7 * r[:, 3], footprint, 1.3)
@@ -92,8 +92,7 @@ def brick(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
 
 
 def plaster(colour: str, wear: float = 1.0) -> Material:
-    """Painted plaster: stains that run down, hair cracks, and chips that show the grey ground
-    coat."""
+    """Make painted plaster with stains, hair cracks, and chips that expose the grey ground coat."""
     paint = linear(colour)
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -122,7 +121,7 @@ def plaster(colour: str, wear: float = 1.0) -> Material:
 
 
 def stone(block: tuple[float, float], colour: str = "#b5a98f") -> Material:
-    """Ashlar: pitted blocks of `block` metres with fine dark joints."""
+    """Make ashlar: pitted blocks of `block` metres with fine dark joints."""
     base, (bu, bv) = linear(colour), block
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -148,7 +147,7 @@ def stone(block: tuple[float, float], colour: str = "#b5a98f") -> Material:
 
 
 def cobbles(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """Cobble stones in sand: the Voronoi cells of a jittered lattice (Worley 1996), domed."""
+    """Compute cobblestones in sand: domed Voronoi cells of a jittered lattice (Worley 1996)."""
     pitch = 0.17
     i, j = np.floor(u / pitch), np.floor(v / pitch)
     first = np.full(len(u), np.inf)
@@ -188,7 +187,7 @@ def cobbles(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
 
 
 def _grain(u: Array, v: Array, footprint: Array, base: Array, salt: Array) -> Array:
-    """Boards along u: fibres, year rings and knots, each board its own."""
+    """Compute the grain of boards along u: fibres, growth rings and knots."""
     n = _noise(0.06 * u + 9 * salt[:, 0], v + 9 * salt[:, 1], footprint, 0.7)
     ring = np.sin(60 * v + 2.2 * n[:, BROAD] + 3 * u + 40 * salt[:, 2]) * (
         1 - ramp(footprint, 0.03, 0.03)
@@ -202,8 +201,7 @@ def _grain(u: Array, v: Array, footprint: Array, base: Array, salt: Array) -> Ar
 def planks(
     width: float, colour: str, length: float = 1e3, salt: int = 5, nails: float = 0.0
 ) -> Material:
-    """Boards of `width` that run along v (a door, a gate), with dark gaps; nail heads every `nails`
-    metres."""
+    """Make boards of `width` along v, with dark gaps and a nail head every `nails` metres."""
     base = linear(colour)
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -225,8 +223,7 @@ def planks(
 
 
 def crate(colour: str = "#a07a4c", salt: int = 11) -> Callable[[float, float], Material]:
-    """Sides of a wooden crate, by width and height: boards within a frame, nailed, with stencilled
-    marks."""
+    """Make the sides of a wooden crate: nailed boards in a frame, with stencilled marks."""
     base = linear(colour)
 
     def side(w: float, h: float) -> Material:
@@ -277,7 +274,7 @@ def crate(colour: str = "#a07a4c", salt: int = 11) -> Callable[[float, float], M
 
 
 def louvres(w: float, h: float, colour: str = "#4f6f5c") -> Material:
-    """A pair of painted window shutters of slats, the paint peeling."""
+    """Make a pair of slatted window shutters with peeling paint."""
     paint = linear(colour)
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -311,7 +308,7 @@ def louvres(w: float, h: float, colour: str = "#4f6f5c") -> Material:
 
 
 def terracotta(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """A thrown pot: rings of the wheel, a moulded garland, chalk stains."""
+    """Compute a terracotta pot: wheel marks, a moulded garland and chalk stains."""
     n = _noise(0.4 * u, v, footprint, 0.8)
     soft = np.maximum(0.006, footprint)
     albedo = tone(
@@ -330,15 +327,14 @@ def terracotta(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | Non
 
 
 def soil(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """Dark earth with crumbs and a few chips of bark."""
+    """Compute dark soil with crumbs and a few chips of bark."""
     n = _noise(u, v, footprint, 0.5)
     earth = tone(linear("#4a3a2c")[None], 0.5 * n[:, FINE] + 0.4 * n[:, GRAIN] + 0.2 * n[:, RELIEF])
     return mix(earth, linear("#96754e")[None], ramp(n[:, FINE] + 0.5 * n[:, GRAIN], 1.7, 0.3)), None
 
 
 def ceramic(rim: float) -> Material:
-    """A glazed, painted dish of radius `rim`: a star, petals, a scroll and a lettered border,
-    crackled with age."""
+    """Make a glazed dish of radius `rim`: a star, petals, a scroll, a border and cracks."""
     white, blue, ochre, green = (linear(c) for c in ("#b3ad9c", "#1f3f7a", "#b57c28", "#386442"))
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -396,7 +392,7 @@ def ceramic(rim: float) -> Material:
 
 
 def _letters(a: Array, height: Array, turn: Array, soft: Array) -> Array:
-    """A ring of 30 different signs: 3 x 4 dots each, on or off."""
+    """Compute a ring of 30 different signs of 3 x 4 dots each."""
     count = 30
     place = a * count
     k = np.floor(place)
@@ -408,14 +404,13 @@ def _letters(a: Array, height: Array, turn: Array, soft: Array) -> Array:
     return inside * on * ramp(edge, 0.06, np.maximum(0.1, 4 * count * turn))
 
 
-# ---- what is stuck or sprayed on ----
+# ---- posters and graffiti ----
 
 
 def with_decals(
     material: Material, *decals: tuple[str, int, tuple[float, float, float, float]]
 ) -> Material:
-    """`material` with drawings (kind, seed, (u0, v0, u1, v1) in metres) on it, as worn as what they
-    are on."""
+    """Add decals (kind, seed, (u0, v0, u1, v1) in metres) to `material`, with the same wear."""
 
     def covered(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
         albedo, slope = material(u, v, footprint)
@@ -443,8 +438,7 @@ def with_decals(
 
 
 def mural(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """A flat wall that shows a bit of everything, for the planar scenes; made for about 8 x 6
-    metres around (0, 0)."""
+    """Compute a flat wall with varied content for planar scenes, about 8 x 6 m around (0, 0)."""
     brickwork, _ = brick(u + 20, v + 20, footprint)
     paint, _ = _MURAL_PAINT(u + 20, v + 20, footprint)
     n, m = _noise(u + 1.7, v + 2.9, footprint, 7.9), _noise(u, v, footprint, 1.7)

@@ -1,9 +1,8 @@
-"""Ray casting: what a pinhole camera sees of a scene, as linear light, and where every pixel's
-point is.
+"""Ray casting: linear light and depth of every pixel of a pinhole camera.
 
-Surfaces are matt (Lambert), lit by a sun with sharp shadows and by the sky, whose share is found by
-casting rays from a coarse grid on every surface. What is seen of a point thus does not depend on
-the camera.
+Surfaces are Lambertian and lit by a sun with sharp shadows and by the sky. The visible share of the
+sky is computed by casting rays from a coarse grid on every surface. The light of a point therefore
+does not depend on the camera.
 """
 
 from __future__ import annotations
@@ -24,15 +23,17 @@ Array = np.ndarray
 T = TypeVar("T")
 V = TypeVar("V")
 
-EXACT, QUICK = 400, 10  # steps in which a relief is found: for geometry, for colours
+EXACT, QUICK = 400, 10  # steps of the intersection with a relief, for geometry and colours
 TILE = 128
 SUN, SKY_LIGHT = 3.0 * linear("#fff1d6"), 1.15 * linear("#cfe0f5")
-BOUNCE = 0.30 * linear("#f0d9bb")  # what the surroundings give back
+BOUNCE = 0.30 * linear("#f0d9bb")  # light reflected by the surroundings
 
 
 def rays(K: Array, pose: Pose, x: Array) -> tuple[Array, Array]:
-    """Origin (3, 1) and direction (3, N) in the world of the rays through pixels `x` (2, N); s is
-    the depth."""
+    """Compute origin (3, 1) and directions (3, N) of the rays through pixels `x` (2, N).
+
+    They are in the world frame, and the parameter s of a ray is the depth.
+    """
     skew = K[0, 1]
     yn = (x[1] - K[1, 2]) / K[1, 1]
     xn = (x[0] - K[0, 2] - skew * yn) / K[0, 0]
@@ -42,8 +43,11 @@ def rays(K: Array, pose: Pose, x: Array) -> tuple[Array, Array]:
 
 
 def geometry(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int]) -> tuple[Array, Array]:
-    """Depth (H, W), inf for sky, and points (H, W, 3) in the camera's frame, NaN for sky, at the
-    pixels' centres."""
+    """Compute depth and points at the pixel centres.
+
+    Returns:
+        (H, W) depth, inf for sky, and (H, W, 3) points in the frame of the camera, NaN for sky.
+    """
     w, h = size_wh
     depth, points = np.empty((h, w)), np.empty((h, w, 3))
 
@@ -65,7 +69,7 @@ def geometry(scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int]) -> tu
 def radiance(
     scene: Scene, pose: Pose, K: Array, size_wh: tuple[int, int], supersample: int
 ) -> Array:
-    """(H, W, 3) float32 linear light, the mean of ``supersample ** 2`` rays a pixel."""
+    """Render (H, W, 3) float32 linear light, the mean of ``supersample ** 2`` rays per pixel."""
     w, h = size_wh
     film = np.empty((h, w, 3), dtype=np.float32)
     offset = (np.arange(supersample) + 0.5) / supersample - 0.5
@@ -83,7 +87,7 @@ def radiance(
 
 
 class Tile(NamedTuple):
-    """A part of the image, and which surfaces may be seen in it."""
+    """A part of the image and the surfaces that may be visible in it."""
 
     rows: slice
     columns: slice
@@ -112,7 +116,7 @@ def in_parallel(job: Callable[[T], V], parts: Iterable[T]) -> list[V]:
 
 
 def _extent(surface: Surface, pose: Pose, K: Array) -> tuple[float, float, float, float]:
-    """Pixels (left, top, right, bottom) between which the surface lies."""
+    """Compute the bounding box (left, top, right, bottom) of the surface, pixels."""
     X = (surface.corners() - pose.centre) @ pose.R.T
     if X[:, 2].max() < 0.01:
         return np.inf, np.inf, -np.inf, -np.inf
@@ -125,7 +129,7 @@ def _extent(surface: Surface, pose: Pose, K: Array) -> tuple[float, float, float
 def _shade(
     scene: Scene, origin: Array, direction: Array, pixel: float, seen: tuple[int, ...]
 ) -> Array:
-    """(N, 3) light along rays; `pixel` is the angle between neighbouring ones."""
+    """Compute the (N, 3) light along rays; `pixel` is the angle between neighbouring rays."""
     s, index, u, v = scene.cast(origin, direction, QUICK, seen)
     light = np.empty((len(s), 3), dtype=np.float32)
     (sky,) = np.nonzero(index < 0)
@@ -172,7 +176,7 @@ def _matt(
 
 
 def _sky(direction: Array, pixel: float) -> Array:
-    """Blue with clouds, a function of the direction alone."""
+    """Compute the colour of the sky, which depends on the direction only."""
     d = unit(direction)
     up = np.clip(-d[1], 0, 1)
     scale = 1 / (up + 0.25)
@@ -190,14 +194,13 @@ def _sky(direction: Array, pixel: float) -> Array:
 
 # ---- light from the sky and the surroundings ----
 
-CELL = 0.18  # metres of the grid on which it is found
-SPOKES = 32  # rays a cell
+CELL = 0.18  # grid spacing, metres
+SPOKES = 32  # rays per cell
 
 
 @lru_cache(maxsize=8)
 def _openness(surfaces: tuple[Surface, ...]) -> tuple[Array | None, ...]:
-    """Per flat surface, a grid (rows, columns) of the share of the sky that it sees, weighted by
-    the cosine."""
+    """Compute the cosine-weighted visible share of the sky on a grid, for each flat surface."""
     return tuple(in_parallel(lambda surface: _open_grid(surfaces, surface), surfaces))
 
 
@@ -237,7 +240,7 @@ def _open_grid(surfaces: tuple[Surface, ...], surface: Surface) -> Array | None:
 
 
 def _ambient_at(scene: Scene, k: int, u: Array, v: Array, normal: Array, tilt: Array) -> Array:
-    """(N, 3) light from the sky and the surroundings."""
+    """Compute the (N, 3) light from the sky and the surroundings."""
     surface, grid = scene.surfaces[k], _openness(scene.surfaces)[k]
     if grid is None:
         sky = 0.5 - 0.35 * normal[1]

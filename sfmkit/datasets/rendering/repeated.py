@@ -20,7 +20,7 @@ __all__ = ["KINDS", "repeated_scene", "repeated_views"]
 
 Array = np.ndarray
 
-# Offsets of the views along the surface, in multiples of the distance to it; an image covers 1.09.
+# Offsets of the views along the surface, in multiples of its distance; an image covers 1.09.
 _OFFSETS = (0.0, 0.13, 0.3, 1.2, 1.35, 1.5, 2.6, 2.75)
 _LENGTH, _DEPTH = 30.0, 12.0  # metres of the surfaces
 
@@ -30,7 +30,7 @@ def _noise(u: Array, v: Array, footprint: Array, period: float) -> Array:
 
 
 def _stained(pattern: Material, variation: float) -> Material:
-    """The pattern with stains and grain that do not repeat, of amplitude `variation`."""
+    """Add stains and grain of amplitude `variation`, which do not repeat, to a pattern."""
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
         albedo, slope = pattern(u, v, footprint)
@@ -41,12 +41,12 @@ def _stained(pattern: Material, variation: float) -> Material:
 
 
 def _cell(u: Array, v: Array, pitch_u: float, pitch_v: float) -> tuple[Array, Array]:
-    """Position within the cell of a lattice, metres."""
+    """Compute the position within the cell of a lattice, metres."""
     return u - np.floor(u / pitch_u) * pitch_u, v - np.floor(v / pitch_v) * pitch_v
 
 
 def _tiles(pitch: float) -> Material:
-    """Square tiles with a rosette that quarter turns and reflections map to itself."""
+    """Make square tiles with a rosette that is invariant to quarter turns and reflections."""
     ground, ink, joint = linear("#b9ae97"), linear("#3f5673"), linear("#5d564b")
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -65,7 +65,7 @@ def _tiles(pitch: float) -> Material:
 
 
 def _windows(pitch_u: float = 1.7, pitch_v: float = 2.3) -> Material:
-    """A plastered facade with equal windows in rows."""
+    """Make a plastered facade with rows of equal windows."""
     plaster, frame, glass, sill = (linear(c) for c in ("#b9a27c", "#d8d3c6", "#2f3a42", "#8f8674"))
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -88,7 +88,7 @@ def _windows(pitch_u: float = 1.7, pitch_v: float = 2.3) -> Material:
 
 
 def _bricks(length: float = 0.52, course: float = 0.24) -> Material:
-    """Equal blocks in a running bond."""
+    """Make equal blocks in a running bond."""
     clay, mortar = linear("#94604d"), linear("#b3a68f")
 
     def material(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
@@ -103,7 +103,7 @@ def _bricks(length: float = 0.52, course: float = 0.24) -> Material:
 
 
 def _drum(u: Array, v: Array, footprint: Array) -> tuple[Array, Array | None]:
-    """A fluted column with a ring below its top."""
+    """Compute the albedo of a fluted column with a ring below its top."""
     n = _noise(u, v, footprint, 1.3)
     flutes = 0.3 * np.cos(24 * u) * (1 - ramp(footprint, 0.05, 0.05))
     albedo = tone(linear("#b5aa94")[None], flutes + 0.22 * n[:, FINE] + 0.1 * n[:, GRAIN])
@@ -165,7 +165,7 @@ KINDS: dict[str, tuple[Callable[[float], tuple[Surface, ...]], float, bool]] = {
 
 
 def repeated_views(kind: str) -> tuple[Pose, ...]:
-    """The cameras of a scene: three groups, of which two overlap by a third at most."""
+    """Return the cameras of a scene: three groups, two of which overlap by at most a third."""
     _, distance, down = KINDS[kind]
     poses = []
     for k, offset in enumerate(_OFFSETS):
@@ -181,10 +181,10 @@ def repeated_views(kind: str) -> tuple[Pose, ...]:
 
 
 def repeated_scene(kind: str, variation: float) -> Scene:
-    """A scene of repeated texture; its two cameras are the first two of :func:`repeated_views`.
+    """Build a scene of repeated texture, with the first two cameras of :func:`repeated_views`.
 
     Args:
-        kind: A name of :data:`KINDS`.
+        kind: Name in :data:`KINDS`.
         variation: Amplitude of the stains that make the cells differ; 0 for exact copies.
     """
     surfaces, _, _ = KINDS[kind]

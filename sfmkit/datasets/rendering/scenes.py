@@ -1,7 +1,7 @@
-"""The scenes: surfaces, a sun, a sky, and two cameras.
+"""Scenes: surfaces, a sun, a sky, and two cameras.
 
-The world has x right, y down and z forward, in metres; the ground is y = 0, so that heights are
-negative.
+The axes of the world are x right, y down and z forward; units are metres. The ground is y = 0, so
+points above it have negative y.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a camera stands: ``x_cam = R (X - centre)``."""
+    """The pose of a camera: ``x_cam = R (X - centre)``."""
 
     R: Array
     centre: Array
@@ -41,8 +41,7 @@ class Pose:
 def look(
     eye: tuple[float, float, float], target: tuple[float, float, float], roll_deg: float = 0.0
 ) -> Pose:
-    """The pose of a camera at `eye` that looks at `target`, turned by `roll_deg` about its optical
-    axis."""
+    """Compute the pose of a camera at `eye` that looks at `target`, rolled by `roll_deg`."""
     centre = np.array(eye, dtype=np.float64)
     forward = unit(np.array(target) - centre)
     right = unit(np.cross([0.0, 1.0, 0.0], forward))
@@ -53,13 +52,13 @@ def look(
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is seen, and from where.
+    """Surfaces, light and two cameras.
 
     Attributes:
-        surfaces: what rays can meet; what they miss is sky.
-        pose1, pose2: the two cameras.
-        focal: focal length over the longer side of the image.
-        sun: (3,) unit, towards the sun.
+        surfaces: Surfaces; a ray that hits none of them shows the sky.
+        pose1, pose2: Poses of the two cameras.
+        focal: Focal length over the longer side of the image.
+        sun: (3,) unit vector towards the sun.
     """
 
     name: str
@@ -70,8 +69,10 @@ class Scene:
     sun: Array = field(default_factory=lambda: unit(np.array([-0.50, -0.72, -0.75])))
 
     def K(self, size_wh: tuple[int, int]) -> Array:
-        """(3, 3) intrinsics for an image of `size_wh`; pixels a little off square, centre a little
-        off."""
+        """Return the (3, 3) intrinsics for an image of `size_wh`.
+
+        The pixels are not exactly square, and the principal point is not exactly central.
+        """
         w, h = size_wh
         f = self.focal * max(w, h)
         return np.array([[f, 0, 0.506 * w - 0.5], [0, 1.002 * f, 0.496 * h - 0.5], [0, 0, 1]])
@@ -79,8 +80,10 @@ class Scene:
     def cast(
         self, origin: Array, direction: Array, steps: int, only: tuple[int, ...] | None = None
     ):
-        """First hit of rays (3, N): ``s`` (inf: sky), the surface's index (-1: sky), and (u, v)
-        there."""
+        """Compute the first hits of rays (3, N): ``s``, the index of the surface, and (u, v).
+
+        For sky, ``s`` is inf and the index -1.
+        """
         n = max(origin.shape[1], direction.shape[1])
         s, index = np.full(n, np.inf), np.full(n, -1)
         u, v = np.zeros(n), np.zeros(n)
@@ -92,15 +95,17 @@ class Scene:
 
     @cached_property
     def _silhouettes(self) -> tuple[Array, Array]:
-        """Two axes (2, 3) across the sun's rays, and the extent (2, 2: low, high) of every surface
-        along them."""
+        """Two axes (2, 3) orthogonal to the sun, and the extents (2, 2) of every surface on them.
+
+        An extent is (low, high) per axis.
+        """
         across = np.stack([unit(np.cross(self.sun, [0.0, 1, 0])), np.zeros(3)])
         across[1] = np.cross(self.sun, across[0])
         corners = [across @ surface.corners().T for surface in self.surfaces]
         return across, np.array([[c.min(axis=1), c.max(axis=1)] for c in corners])
 
     def shaded(self, point: Array) -> Array:
-        """(N,) whether points (3, N) lie in a surface's shadow; reliefs count as flat."""
+        """Return (N,) whether points (3, N) are in shadow; reliefs count as flat."""
         across, extents = self._silhouettes
         x, y = dot(across[0], point), dot(across[1], point)
         hit = np.zeros(point.shape[1], dtype=bool)
@@ -119,7 +124,7 @@ class Scene:
 def _brick_wall(
     x0: float, x1: float, z: float, top: float, material: Material, holes: tuple[Hole, ...]
 ) -> Rectangle:
-    """A wall that faces the viewer, with real bricks."""
+    """Make a wall that faces the viewer, with bricks in relief."""
     across, down = np.array([x1 - x0, 0, 0]), np.array([0, -top, 0])
     corner = np.array([x0, top, z])
     return Rectangle(
@@ -134,8 +139,7 @@ def _slab(corner: Triple, size: Triple, material: Material) -> list[Rectangle]:
 def _recess(
     x0: float, y0: float, x1: float, y1: float, z: float, deep: float, back, jamb
 ) -> list[Surface]:
-    """The inside of an opening in a wall at `z`: two jambs, lintel, sill, and what closes it at the
-    back."""
+    """Make the inside of an opening in a wall at `z`: two jambs, lintel, sill and back."""
     w, h, zb = x1 - x0, y1 - y0, z + deep
     return [
         Rectangle(np.array([x0, y0, zb]), np.array([w, 0, 0]), np.array([0, h, 0]), back),
@@ -195,7 +199,7 @@ def _courtyard() -> tuple[Surface, ...]:
         (x0, top - 0.25, z - 0.3), (x1 - x0, 0.25, 0.5), m.stone((0.9, 0.25), "#b9ae98")
     )
     surfaces += _slab((x0 - 0.2, -2.67, 1.0), (0.28, 0.14, 6.0), m.stone((0.14, 0.8), "#b9ae98"))
-    # things that stand about
+    # objects
     surfaces += box((-0.55, -0.85, 5.15), (0.95, 0.85, 0.8), 24, m.crate())
     surfaces += box((-0.42, -1.33, 5.5), (0.52, 0.48, 0.46), 6, m.crate("#8c6a44", 12))
     surfaces += box((2.3, -0.6, 5.3), (0.7, 0.6, 0.7), -32, m.crate("#97713f", 13))
@@ -237,7 +241,7 @@ def _dish_alone() -> tuple[Surface, ...]:
 
 FIRST = look((-0.75, -1.6, 0.3), (-0.15, -1.45, 7.0))
 
-#: The scenes that :func:`sfmkit.datasets.synthetic.render` knows by name.
+#: Named scenes of :func:`sfmkit.datasets.synthetic.render`.
 SCENES: dict[str, Callable[[], Scene]] = {
     "courtyard": lambda: Scene(
         "courtyard", _courtyard(), FIRST, look((0.6, -1.72, 0.45), (0.1, -1.4, 7.0), 1.5)

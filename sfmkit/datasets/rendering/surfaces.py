@@ -1,9 +1,8 @@
-"""Surfaces that a ray meets in closed form: rectangles (flat or with relief), spherical caps and
-cones.
+"""Surfaces with ray intersection: rectangles (flat or with relief), spherical caps and cones.
 
-Rays are ``origin + s * direction`` with arrays of shape (3, N) or (3, 1); the world has y pointing
-down, in metres. Every surface answers with the smallest ``s > NEAR`` (inf for none) and the place
-(u, v) in metres on the surface.
+Rays are ``origin + s * direction`` with arrays of shape (3, N) or (3, 1). The y axis of the world
+points down; units are metres. An intersection is the smallest ``s > NEAR`` (inf for none) and the
+position (u, v) on the surface, metres.
 """
 
 from __future__ import annotations
@@ -31,16 +30,18 @@ class Surface(Protocol):
     def material(self) -> Material: ...
 
     def intersect(self, origin: Array, direction: Array, steps: int) -> tuple[Array, Array, Array]:
-        """``s``, ``u`` and ``v`` of the first hit; a relief is found in at most `steps` steps (0:
-        take it as flat)."""
+        """Compute ``s``, ``u`` and ``v`` of the first hit.
+
+        A relief is intersected in at most `steps` steps; with 0 it is treated as flat.
+        """
 
     def frame(
         self, point: Array, u: Array, v: Array, footprint: Array
     ) -> tuple[Array, Array, Array]:
-        """The normal (3, N), and the slopes (N,) of the relief along u and v."""
+        """Compute the normal (3, N), and the slopes (N,) of the relief along u and v."""
 
     def corners(self) -> Array:
-        """(M, 3) points whose convex hull holds the surface."""
+        """Return (M, 3) points whose convex hull contains the surface."""
 
 
 def unit(a: Array) -> Array:
@@ -53,14 +54,13 @@ def dot(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rectangle:
-    """A rectangle seen from the side its normal ``cross(along_v, along_u)`` points to, with holes
-    cut out of it.
+    """A rectangle with holes, visible from the side of its normal ``cross(along_v, along_u)``.
 
     Attributes:
-        corner: (3,) where u = v = 0.
+        corner: (3,) position of u = v = 0.
         along_u, along_v: (3,) orthogonal edges; their lengths are the size.
-        relief: height of the surface over the rectangle, between 0 and `thickness`; its slope is at
-            most `steepness`.
+        relief: Height of the surface above the rectangle, between 0 and `thickness`; its slope is
+            at most `steepness`.
     """
 
     corner: Array
@@ -78,7 +78,7 @@ class Rectangle:
 
     @cached_property
     def axes(self) -> Array:
-        """(3, 3) rows: unit u, unit v, unit normal."""
+        """The (3, 3) matrix with rows unit u, unit v and unit normal."""
         u, v = unit(self.along_u), unit(self.along_v)
         return np.stack([u, v, np.cross(v, u)])
 
@@ -124,11 +124,12 @@ class Rectangle:
         return inside
 
     def _descend(self, ray: Array, s: Array, steps: int) -> Array:
-        """Where rays (6, N: origin and direction in u, v, n), above the relief at `s`, first meet
-        it.
+        """Intersect rays with the relief by sphere tracing, starting above it at `s`.
 
-        A step by the height over the relief, divided by the fastest rate at which it can shrink,
-        never passes through it (sphere tracing; Hart 1996).
+        Rays are (6, N): origin and direction in u, v, n. A step of the height above the relief over
+        the fastest rate at which this height can shrink never passes through the relief.
+
+        Source: Hart, "Sphere tracing", The Visual Computer 12 (1996).
         """
         assert self.relief is not None
         s = s.copy()
@@ -157,11 +158,11 @@ class Rectangle:
         )
 
 
-TOUCH = 1e-12  # metres over a relief that count as on it
+TOUCH = 1e-12  # metres above a relief that count as a hit
 
 
 def _first(candidates: list[tuple[Array, Array]]) -> Array:
-    """The smallest admissible s of several (s, admissible), inf for none."""
+    """Return the smallest admissible s of several (s, admissible), inf for none."""
     s = np.full_like(candidates[0][0], np.inf)
     for value, good in candidates:
         np.minimum(s, np.where(good & (value > NEAR), value, np.inf), out=s)
@@ -170,13 +171,15 @@ def _first(candidates: list[tuple[Array, Array]]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """The part of a sphere within `rim` metres of an axis: a dish, seen from both sides; (u, v) lie
-    in its rim plane.
+    """A dish: the part of a sphere within `rim` metres of an axis, visible from both sides.
+
+    The position (u, v) is in the plane of the rim.
 
     Attributes:
-        bottom: (3,) the deepest point of the dish.
-        axis: (3,) unit, from the bottom to the open side.
-        radius: of the sphere; `rim`: of the dish's edge.
+        bottom: (3,) deepest point of the dish.
+        axis: (3,) unit vector from the bottom to the open side.
+        radius: Radius of the sphere, metres.
+        rim: Radius of the rim, metres.
     """
 
     bottom: Array
@@ -225,11 +228,12 @@ class Cap:
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """The side of an upright frustum (a pot, a column); u runs around it, v down from its top.
+    """The lateral surface of an upright frustum; u runs around it, v down from its top.
 
     Attributes:
         top: (3,) centre of the upper circle.
-        height: metres; `radius_top`, `radius_bottom`: of the two circles.
+        height: Height, metres.
+        radius_top, radius_bottom: Radii of the two circles, metres.
     """
 
     top: Array
@@ -269,7 +273,7 @@ class Cone:
 
 
 def blocked(surfaces: Iterable[Surface], origin: Array, direction: Array) -> Array:
-    """(N,) whether anything stands in the way of rays (3, N); reliefs count as flat."""
+    """Return (N,) whether rays (3, N) hit any surface; reliefs count as flat."""
     hit = np.zeros(max(origin.shape[1], direction.shape[1]), dtype=bool)
     for surface in surfaces:
         hit |= np.isfinite(surface.intersect(origin, direction, 0)[0])
@@ -279,9 +283,9 @@ def blocked(surfaces: Iterable[Surface], origin: Array, direction: Array) -> Arr
 def box(
     corner: Triple, size: Triple, yaw_deg: float, material: Callable[[float, float], Material]
 ) -> list[Rectangle]:
-    """The six sides of a box of `size` (x, y down, z), its upper front left corner at `corner`.
+    """Make the six sides of a box of `size` (x, y down, z), with upper front left corner `corner`.
 
-    `material(width, height)` makes the material of a side of that size.
+    `material(width, height)` returns the material of a side of this size.
     """
     w, h, d = size
     a = np.deg2rad(yaw_deg)

@@ -1,9 +1,7 @@
-"""Procedural image content: noise with natural statistics, drawn decals, and sampling without
-aliasing.
+"""Procedural image content: noise with natural statistics, drawn decals, and anti-aliased sampling.
 
-A texture is a stack of ever smaller averages of itself (a mip pyramid; Williams 1983, "Pyramidal
-parametrics") and is read at the level whose texels are as large as the footprint of a pixel.
-Colours are linear light, not sRGB.
+A texture is a mip pyramid (Williams 1983, "Pyramidal parametrics"). It is sampled at the level
+whose texels have the size of the footprint of a pixel. Colours are linear light, not sRGB.
 """
 
 from __future__ import annotations
@@ -34,8 +32,10 @@ class Texture:
         self.offsets = np.concatenate([[0], np.cumsum(self.sizes**2)[:-1]])
 
     def sample(self, u: Array, v: Array, footprint: Array) -> Array:
-        """(N, C) values at `u`, `v` (in periods), averaged over about `footprint` (in periods):
-        trilinear."""
+        """Interpolate (N, C) values at `u`, `v`, averaged over about `footprint` (all in periods).
+
+        The interpolation is trilinear.
+        """
         level = np.log2(np.maximum(footprint * self.size, 1)).clip(0, len(self.sizes) - 1.001)
         lower = level.astype(np.int64)
         blend = (level - lower).astype(np.float32)[:, None]
@@ -61,8 +61,9 @@ class Texture:
 
 
 def power_law(size: int, exponent: float, rng: np.random.Generator) -> Array:
-    """(size, size) periodic Gaussian noise of amplitude spectrum ``1 / f^exponent``, mean 0,
-    variance 1.
+    """Draw (size, size) periodic Gaussian noise with amplitude spectrum ``1 / f^exponent``.
+
+    The mean is 0 and the variance 1.
 
     Photographs have an exponent near 1 (Field 1987; Ruderman and Bialek 1994).
     """
@@ -79,8 +80,10 @@ FINE, GRAIN, BROAD, RELIEF = range(4)
 
 @cache
 def noise() -> Texture:
-    """Four noises in one texture: FINE (1/f), GRAIN (1/f^0.4), BROAD (1/f^1.6), RELIEF (FINE as lit
-    from the side)."""
+    """Make a texture of four noises: FINE (1/f), GRAIN (1/f^0.4), BROAD (1/f^1.6) and RELIEF.
+
+    RELIEF is FINE lit from the side.
+    """
     rng = np.random.default_rng(20240607)
     fine, grain, broad = (power_law(1024, a, rng) for a in (1.0, 0.4, 1.6))
     lit = np.roll(fine, (2, 2), (0, 1)) - fine
@@ -93,38 +96,36 @@ def _dice() -> Array:
 
 
 def dice(i: Array, j: Array, salt: int = 0) -> Array:
-    """(N, 4) numbers in [0, 1) that belong to the cell (i, j) of a lattice."""
+    """Return (N, 4) pseudo-random numbers in [0, 1) for the cells (i, j) of a lattice."""
     i, j = np.asarray(i).astype(np.int64), np.asarray(j).astype(np.int64)
     return _dice().take((i * 1619 + j * 31337 + salt * 6971 ^ (i * j & 1023) * 7) & 8191, axis=0)
 
 
 def linear(colour: str) -> Array:
-    """(3,) linear light of an sRGB colour ``#rrggbb`` (IEC 61966-2-1)."""
+    """Convert an sRGB colour ``#rrggbb`` to (3,) linear light (IEC 61966-2-1)."""
     c = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def srgb(light: Array) -> Array:
-    """sRGB values in [0, 1] of linear light, clipped (IEC 61966-2-1)."""
+    """Convert linear light to sRGB values, clipped to [0, 1] (IEC 61966-2-1)."""
     c = np.clip(light, 0, 1)
     return np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
 
 
 def ramp(x: Array, edge: float | Array, width: float | Array) -> Array:
-    """0 below `edge`, 1 above it, linear over `width`: a step, averaged over a footprint of that
-    width."""
+    """Compute a step at `edge` from 0 to 1, averaged over a footprint of `width`."""
     return np.clip((x - edge) / width + 0.5, 0, 1)
 
 
-# ---- decals: transparent pictures that are laid over a surface ----
+# ---- decals: transparent pictures on a surface ----
 
 Stroke = list[tuple[float, float]]
 INKS = ("#1c1b1f", "#8c1d1d", "#123c69", "#e6dfcc", "#1f5f43", "#c7961f", "#5b2a66", "#d9482b")
 
 
 def _glyph(rng: np.random.Generator) -> list[Stroke]:
-    """Strokes in the unit square that look like a letter of no alphabet: arcs and bars between
-    lattice points."""
+    """Draw letter-like strokes in the unit square: arcs and bars between lattice points."""
     strokes: list[Stroke] = []
     at = rng.integers(0, 3, 2)
     for _ in range(rng.integers(2, 5)):
@@ -152,7 +153,7 @@ def _draw_glyph(
 
 
 def _graffiti(pen: ImageDraw.ImageDraw, size: int, rng: np.random.Generator) -> None:
-    """A word in fat outlined letters, an underline, and thin tags around it."""
+    """Draw a word in thick outlined letters, an underline, and thin tags around it."""
     fill, outline = rng.choice(INKS[1:], 2, replace=False)
     n, x = 5, 0.06
     boxes = []
@@ -177,7 +178,7 @@ def _graffiti(pen: ImageDraw.ImageDraw, size: int, rng: np.random.Generator) -> 
 
 
 def _poster(pen: ImageDraw.ImageDraw, size: int, rng: np.random.Generator) -> None:
-    """Paper with a headline, a picture of overlapping shapes and columns of small print."""
+    """Draw a poster with a headline, a picture of overlapping shapes and columns of text."""
     paper, head = (
         rng.choice(["#efe6cf", "#e7d9b4", "#dfe3df", "#f0c75e"]),
         str(rng.choice(INKS[:3])),
@@ -211,8 +212,7 @@ def _poster(pen: ImageDraw.ImageDraw, size: int, rng: np.random.Generator) -> No
 
 @cache
 def decal(kind: str, seed: int) -> Texture:
-    """A drawn ``graffiti`` or ``poster`` on the unit square: (R, G, B) times opacity, and
-    opacity."""
+    """Draw ``graffiti`` or a ``poster`` on the unit square: (R, G, B) times opacity, opacity."""
     rng = np.random.default_rng(seed)
     size = 2048
     canvas = Image.new("RGBA", (size, size), (0, 0, 0, 0))

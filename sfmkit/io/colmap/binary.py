@@ -22,7 +22,7 @@ _TRACK = np.dtype("<u4")
 
 
 class _Bytes:
-    """The bytes of a file, read from front to back."""
+    """A sequential reader of the bytes of a file."""
 
     def __init__(self, path: Path):
         self.name = str(path)
@@ -44,7 +44,7 @@ class _Bytes:
         return struct.unpack("<" + layout, self.take(struct.calcsize("<" + layout)))
 
     def text(self) -> str:
-        """A text that ends with a zero byte."""
+        """Read a text that ends with a zero byte."""
         end = self.data.find(b"\0", self.position)
         if end < 0:
             raise InputError("a name does not end")
@@ -55,7 +55,7 @@ class _Bytes:
 
     @contextmanager
     def entries(self) -> Iterator[range]:
-        """The numbers of the entries; an InputError gets the file's name and the position."""
+        """Yield the numbers of the entries; add file name and position to an InputError."""
         try:
             (count,) = self.unpack("Q")
             yield range(min(count, len(self.data) + 1))

@@ -1,7 +1,7 @@
 """COLMAP's camera models and their conversion to and from :class:`~sfmkit.types.Camera`.
 
-COLMAP has the centre of the top-left pixel at (0.5, 0.5), sfmkit at (0, 0). The half pixel is added
-and removed by :func:`to_colmap` and :func:`from_colmap` and nowhere else.
+The centre of the top-left pixel is (0.5, 0.5) in COLMAP and (0, 0) in sfmkit. Only
+:func:`to_colmap` and :func:`from_colmap` convert between them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _PINHOLE = ("fx", "fy", "cx", "cy")
 _SIMPLE = ("f", "cx", "cy")
 _OPENCV = ("k1", "k2", "p1", "p2")
 
-# name -> (number in binary files, parameters, model of the lens here; None: not supported), from
-# COLMAP 4 (src/colmap/sensor/models.h)
+# Name -> (number in binary files, parameters, model of sfmkit or None if not supported).
+# Source: COLMAP 4, src/colmap/sensor/models.h.
 MODELS: dict[str, tuple[int, tuple[str, ...], str | None]] = {
     "SIMPLE_PINHOLE": (0, _SIMPLE, "opencv"),
     "PINHOLE": (1, _PINHOLE, "opencv"),
@@ -51,27 +51,27 @@ SUPPORTED = tuple(name for name, (_, _, lens) in MODELS.items() if lens)
 
 
 def to_colmap(x: np.ndarray) -> np.ndarray:
-    """Pixels with the centre of the top-left pixel at (0.5, 0.5), of pixels with it at (0, 0)."""
+    """Convert pixels from the convention of sfmkit to that of COLMAP: add half a pixel."""
     return x + 0.5
 
 
 def from_colmap(x: np.ndarray) -> np.ndarray:
-    """Pixels with the centre of the top-left pixel at (0, 0), of pixels with it at (0.5, 0.5)."""
+    """Convert pixels from the convention of COLMAP to that of sfmkit: subtract half a pixel."""
     return x - 0.5
 
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A camera as a COLMAP file has it.
+    """A camera of a COLMAP file.
 
     Attributes:
-        model: name, a key of ``MODELS``.
-        size_wh: width and height of the image, pixels.
-        params: in COLMAP's order and pixel convention.
+        model: Name, a key of ``MODELS``.
+        size_wh: Width and height of the image, pixels.
+        params: Parameters in COLMAP's order and pixel convention.
 
     Raises:
-        InputError: unknown model, wrong number of parameters, values that are not finite, or an
-            impossible size.
+        InputError: The model is unknown, the number of parameters is wrong, a parameter is not
+            finite, or the size is impossible.
     """
 
     model: str
@@ -90,11 +90,10 @@ class ColmapCamera:
             raise InputError(f"an image cannot have {self.size_wh[0]} x {self.size_wh[1]} pixels")
 
     def camera(self) -> Camera:
-        """Convert to the camera of this package.
+        """Convert to a camera of sfmkit.
 
         Raises:
-            InputError: the model describes a lens that this package does not have, or the
-                parameters are those of no camera.
+            InputError: sfmkit does not support the camera model, or the parameters are impossible.
         """
         _, names, lens = MODELS[self.model]
         if lens is None:
@@ -115,10 +114,10 @@ class ColmapCamera:
 
     @classmethod
     def of(cls, camera: Camera) -> ColmapCamera:
-        """Convert a camera of this package to the simplest model that holds it.
+        """Convert a camera of sfmkit to the simplest sufficient camera model.
 
         Raises:
-            InputError: skew, thin prism or tilt, which COLMAP's models do not have.
+            InputError: The camera has skew, thin prism or tilt, which COLMAP does not support.
         """
         if camera.K[0, 1]:
             raise InputError(
@@ -140,7 +139,7 @@ class ColmapCamera:
         return cls(name, camera.size_wh, tuple(float(v) for v in params))
 
     def line(self) -> str:
-        """``MODEL WIDTH HEIGHT PARAMS[]`` as in ``cameras.txt``."""
+        """Return ``MODEL WIDTH HEIGHT PARAMS[]``, the format of ``cameras.txt``."""
         params = " ".join(f"{v:.17g}" for v in self.params)
         return f"{self.model} {self.size_wh[0]} {self.size_wh[1]} {params}"
 
@@ -149,7 +148,7 @@ def read_camera_list(file: TextFile) -> dict[int, ColmapCamera]:
     """Read a ``cameras.txt``: lines of ``ID MODEL WIDTH HEIGHT PARAMS[]``.
 
     Raises:
-        InputError: a malformed line; the message has its number.
+        InputError: A line is malformed; the message contains its number.
     """
     cameras: dict[int, ColmapCamera] = {}
     for number, words in file.lines():

@@ -1,4 +1,4 @@
-"""pycolmap, which is optional."""
+"""The optional dependency pycolmap."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["pycolmap_module"]
 
 
 def pycolmap_module() -> Any:
-    """Import pycolmap, with its log switched off.
+    """Import pycolmap with its log switched off.
 
     Raises:
         InputError: It is not installed.
@@ -22,5 +22,5 @@ def pycolmap_module() -> Any:
         raise InputError(
             "pycolmap is not installed; it comes with the peers extra: pip install 'sfmkit[peers]'"
         ) from error
-    module.logging.minloglevel = 3  # its failures come back as answers
+    module.logging.minloglevel = 3  # failures are visible in the return values
     return module

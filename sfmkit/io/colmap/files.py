@@ -1,4 +1,4 @@
-"""Read a COLMAP model, and write a reconstruction as one."""
+"""Reading of COLMAP models, and writing of reconstructions as COLMAP models."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from .text import read_text, write_text
 def read_colmap(folder: str | os.PathLike, *, observations: bool = True) -> ColmapModel:
     """Read a model: ``cameras``, ``images`` and, where present, ``points3D``.
 
-    Binary files (``.bin``) are preferred to text (``.txt``), as COLMAP does. Cameras of models that
-    this package does not have are read; :meth:`ColmapModel.camera` refuses them when an image
-    needs one.
+    Binary files (``.bin``) are preferred to text files (``.txt``), as in COLMAP. Cameras with
+    models that sfmkit does not support are read; :meth:`ColmapModel.camera` raises an error if an
+    image needs one.
 
     Args:
-        folder: that holds the files.
-        observations: read the observed points and the cloud as well.
+        folder: Folder of the files.
+        observations: Whether to read the observations and the cloud.
 
     Raises:
-        InputError: missing or damaged files; the message has the line or the byte.
+        InputError: A file is missing or damaged; the message contains the line or the byte.
     """
     folder = Path(folder)
     suffix = model_suffix(folder)
@@ -38,7 +38,7 @@ def read_colmap(folder: str | os.PathLike, *, observations: bool = True) -> Colm
 
 
 def model_suffix(folder: Path) -> str | None:
-    """``.bin`` or ``.txt`` of the model in a folder; None where there is none."""
+    """Return the suffix ``.bin`` or ``.txt`` of the model in a folder, or None."""
     for suffix in (".bin", ".txt"):
         if all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
             return suffix
@@ -56,18 +56,23 @@ def write_colmap(
 ) -> None:
     """Write a reconstruction as a COLMAP model into `folder`, which is created if missing.
 
-    The world is the frame of camera 1 in baselines. Every correspondence is an observation in both
-    images, in the same order; those without a point have the point id -1. Cameras are PINHOLE,
-    OPENCV with ``k1, k2, p1, p2``, FULL_OPENCV with more, or OPENCV_FISHEYE; two equal ones become
-    one. Spaces in names, which end a name there, become ``_``; two images of one name become
-    ``1/name`` and ``2/name``.
+    The world is the frame of camera 1, in baselines. Every correspondence is an observation in both
+    images, in the same order; the point id of correspondences without a point is -1. The camera
+    models are PINHOLE, OPENCV with ``k1, k2, p1, p2``, FULL_OPENCV with more coefficients, or
+    OPENCV_FISHEYE; two equal cameras are written once. Spaces in names are replaced by ``_``,
+    because a space ends a name in the text format. Two images with the same name become ``1/name``
+    and ``2/name``.
 
     Args:
-        names: of the two image files.
-        binary: write ``.bin`` files instead of ``.txt``.
+        folder: Folder to write to.
+        view: Geometry with a pose.
+        corr: N correspondences.
+        cloud: Points of the correspondences.
+        names: Names of the two image files.
+        binary: Whether to write ``.bin`` files instead of ``.txt``.
 
     Raises:
-        InputError: the geometry has no pose, or a camera has what COLMAP's models lack.
+        InputError: The geometry has no translation, or COLMAP does not support a camera.
     """
     model = _two_view_model(view, corr, cloud, names)
     folder = Path(folder)

@@ -1,4 +1,4 @@
-"""A COLMAP model in memory, in the conventions of this package."""
+"""COLMAP models in memory, in the conventions of sfmkit."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class ColmapImage:
     """A registered image.
 
     Attributes:
-        name: path relative to the folder of the images.
-        camera_id: of its camera.
+        name: Path relative to the folder of the images.
+        camera_id: Id of its camera.
         R, t: (3, 3) and (3,) float64, ``X_camera = R X_world + t``.
         xy: (N, 2) float64 observed points, pixels, the centre of the top-left pixel at (0, 0).
-        point_id: (N,) int64 of the points in the cloud, -1 for none.
+        point_id: (N,) int64 ids of the points in the cloud, -1 for none.
     """
 
     name: str
@@ -42,10 +42,10 @@ class ColmapPoint:
     """A point of the cloud.
 
     Attributes:
-        xyz: (3,) float64 in the world.
-        rgb: red, green and blue, 0 to 255.
-        error: mean reprojection error, pixels.
-        track: (L, 2) int64 of image ids and rows of their observations.
+        xyz: (3,) float64 position in the world.
+        rgb: Red, green and blue, 0 to 255.
+        error: Mean reprojection error, pixels.
+        track: (L, 2) int64 image ids and rows of their observations.
     """
 
     xyz: np.ndarray
@@ -56,7 +56,7 @@ class ColmapPoint:
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """Cameras, images and points by their ids."""
+    """Cameras, images and points by id."""
 
     cameras: Mapping[int, ColmapCamera]
     images: Mapping[int, ColmapImage]
@@ -66,7 +66,7 @@ class ColmapModel:
         """Return the camera of an image.
 
         Raises:
-            InputError: the model has no such camera, or its lens is not supported.
+            InputError: The model has no such camera, or its camera model is not supported.
         """
         if image.camera_id not in self.cameras:
             name = image.name[:80]
@@ -80,7 +80,7 @@ class ColmapModel:
 
 
 class Images(dict[int, ColmapImage]):
-    """Images by their ids while they are read."""
+    """Images by id, while they are read."""
 
     def __init__(self) -> None:
         self._names: set[str] = set()
@@ -89,8 +89,8 @@ class Images(dict[int, ColmapImage]):
         """Add an image.
 
         Raises:
-            InputError: an id or a name that is there already, or a name that leads out of the
-                images' folder.
+            InputError: The id or the name exists already, or the name points outside the folder
+                of the images.
         """
         _check_inside(image.name)
         if key in self:
@@ -102,10 +102,10 @@ class Images(dict[int, ColmapImage]):
 
 
 def image_path(folder: Path, name: str) -> Path:
-    """The file of an image's name, which must stay inside `folder`.
+    """Return the path of an image by its name, which must stay inside `folder`.
 
     Raises:
-        InputError: an absolute path, one with ``..``, or an empty one.
+        InputError: The name is absolute, empty, too long, or contains ``..``.
     """
     _check_inside(name)
     return folder / name
@@ -121,10 +121,10 @@ def _check_inside(name: str) -> None:
 
 
 def check_pose(q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """R (3, 3) and t (3,) of a quaternion w, x, y, z and a translation.
+    """Convert a quaternion w, x, y, z and a translation to R (3, 3) and t (3,).
 
     Raises:
-        InputError: values that are not finite, or a quaternion of length zero.
+        InputError: A value is not finite, or the quaternion is zero.
     """
     if not (np.isfinite(q).all() and np.isfinite(t).all()):
         raise InputError("the pose holds NaN or infinite values")
@@ -135,5 +135,5 @@ def check_pose(q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quaternion(R: np.ndarray) -> np.ndarray:
-    """The quaternion w, x, y, z of a rotation matrix, w not negative."""
+    """Convert a rotation matrix to a quaternion w, x, y, z with w >= 0."""
     return Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)

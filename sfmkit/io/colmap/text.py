@@ -24,8 +24,10 @@ def read_text(folder: Path, observations: bool) -> ColmapModel:
 
 
 def _read_images(path: Path, observations: bool) -> dict[int, ColmapImage]:
-    """Two lines per image: the pose with the name, which is the rest of the line, and the
-    observations, which may be empty."""
+    """Read two lines per image: the pose with the name, and the observations.
+
+    The name is the rest of the first line; the second line may be empty.
+    """
     file = TextFile.read(path)
     images = Images()
     lines = file.numbered()

@@ -1,4 +1,4 @@
-"""Lines of COLMAP's text files, with the number of the line in every message."""
+"""Lines of COLMAP's text files; messages contain the line number."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...errors import InputError
 
 
 class TextFile:
-    """The text of a file and its name for messages."""
+    """The text of a file, and its name for messages."""
 
     def __init__(self, name: str, text: str):
         self.name = name
@@ -22,7 +22,7 @@ class TextFile:
         """Read a UTF-8 file, with or without a byte order mark.
 
         Raises:
-            InputError: it cannot be read or is not UTF-8.
+            InputError: The file cannot be read or is not UTF-8.
         """
         try:
             return cls(str(path), path.read_text(encoding="utf-8-sig"))
@@ -35,20 +35,20 @@ class TextFile:
             raise InputError(f"{path} cannot be read: {why}") from error
 
     def numbered(self) -> Iterator[tuple[int, str]]:
-        """Number, from 1, and text of every line that is not a comment."""
+        """Yield number, from 1, and text of every line that is not a comment."""
         for number, line in enumerate(self._lines, start=1):
             if not line.lstrip().startswith("#"):
                 yield number, line.strip()
 
     def lines(self) -> Iterator[tuple[int, list[str]]]:
-        """Number and words of every line that is neither empty nor a comment."""
+        """Yield number and words of every line that is neither empty nor a comment."""
         for number, line in self.numbered():
             if line:
                 yield number, line.split()
 
     @contextmanager
     def at(self, number: int) -> Iterator[None]:
-        """Put the file's name and the line's number in front of an InputError's message."""
+        """Add the file name and the line number to the message of an InputError."""
         try:
             yield
         except InputError as error:
@@ -56,7 +56,7 @@ class TextFile:
 
     @staticmethod
     def whole(word: str) -> int:
-        """A whole number that fits 64 bits."""
+        """Convert a word to an integer of at most 64 bits."""
         if not re.fullmatch(r"-?[0-9]{1,19}", word) or abs(int(word)) >= 2**63:
             raise InputError(f"'{word[:40]}' is not a whole number")
         return int(word)
