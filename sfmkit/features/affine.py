@@ -1,9 +1,9 @@
-"""Any operator under simulated viewpoints: the image is tilted as an oblique camera would see it,
-and searched again.
+"""Operators on simulated oblique views.
 
-Operators bear changes of scale and rotation, hardly any a surface seen from the side. Simulating
-the tilt on both images and pooling the features lets a pair match whose views are up to 80 degrees
-apart.
+Most operators are robust to changes of scale and rotation, but hardly any to a surface seen from
+the side. The operator therefore also runs on images that are tilted as an oblique camera would see
+them. If this is done for both images and all features are used together, views that are up to 80
+degrees apart can be matched.
 
 Source: Morel & Yu, "ASIFT: a new framework for fully affine invariant image comparison", SIAM J.
 Imaging Sciences 2009.
@@ -24,18 +24,20 @@ from ..errors import InputError
 from ..types import Features
 from .bounds import TILTS
 
-AFFINE = "affine-"  # before the name of the operator
+AFFINE = "affine-"  # prefix of the name of the operator
 
-# blur against aliasing before an axis is compressed t times: this times sqrt(t² - 1), as in the
-# paper
+# The blur against aliasing, before an axis is compressed t times, is this times sqrt(t² - 1), as in
+# the paper.
 _PREFILTER = 0.8
-# keypoints nearer than this many of their radii to the edge of the tilted image describe the edge
+# in radii of a keypoint; the neighbourhood of a nearer keypoint contains the edge of the image
 _MARGIN = 1.5
 
 
 def views(tilts: int) -> Iterator[tuple[float, float]]:
-    """Tilt t and rotation phi (radians) of each simulated view: ``t = sqrt(2)^k``, phi in steps of
-    72°/t over half a turn."""
+    """Yield the tilt t and the rotation phi (radians) of each simulated view.
+
+    The tilts are ``t = sqrt(2)^k``; phi has steps of 72°/t from 0 to 180 degrees.
+    """
     yield 1.0, 0.0
     for k in range(1, tilts + 1):
         t = math.sqrt(2) ** k
@@ -44,11 +46,11 @@ def views(tilts: int) -> Iterator[tuple[float, float]]:
 
 
 def tilted(image: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The view at tilt `t` in the direction `phi`.
+    """Simulate the view with tilt `t` in the direction `phi`.
 
     Returns:
-        Image (h, w, 3) or (h, w) uint8; the (2, 3) affine map from `image` into it; mask (h, w), 0
-        outside `image`.
+        The view (h, w, 3) or (h, w) uint8, the (2, 3) affine map from `image` to the view, and a
+        mask (h, w) that is 0 outside `image`.
     """
     h, w = image.shape[:2]
     c, s = math.cos(phi), math.sin(phi)
@@ -75,10 +77,10 @@ def tilted(image: np.ndarray, t: float, phi: float) -> tuple[np.ndarray, np.ndar
 
 @dataclass(frozen=True)
 class AffineOperator:
-    """Any operator on an image and on simulated oblique views of it.
+    """An operator that is applied to an image and to simulated oblique views of it.
 
     Attributes:
-        base: The operator, see :class:`sfmkit.features.plugins.Operator`.
+        base: The operator; see :class:`sfmkit.features.plugins.Operator`.
     """
 
     base: Callable[..., Features]
@@ -97,21 +99,21 @@ class AffineOperator:
         device: Any = None,
         **options: Any,
     ) -> Features:
-        """Features of an image and of its simulated views, in the pixels of the image.
+        """Find and describe features in an image and in its simulated views.
 
         Args:
             image: (H, W, 3) or (H, W) uint8.
-            tilts: Steps of sqrt(2) in tilt; 2 (up to 2, a view 60 degrees off the normal) take 10
-                views, 3 take 18.
-            preset, device: For base operators that take them.
-            options: Of the base operator.
+            tilts: Number of steps of sqrt(2) in tilt. Two steps (up to a tilt of 2, a view 60
+                degrees from the normal) need 10 views, three need 18.
+            preset, device: Passed to base operators with such parameters.
+            options: Options of the base operator.
 
         Returns:
-            The features of all views. Scales are those in the image (root of the area), angles are
-            0: they have no meaning after a tilt.
+            The features of all views in pixels of the image. Scales are those in the image (root of
+            the area). Angles are 0, because they have no meaning after a tilt.
 
         Raises:
-            InputError: Tilts out of range, and what the base operator raises.
+            InputError: The number of tilts is out of range, or the base operator raises it.
         """
         low, high = TILTS
         whole = isinstance(tilts, (int, np.integer)) and not isinstance(tilts, bool)
@@ -138,7 +140,7 @@ class AffineOperator:
 
 
 def _inside(f: Features, mask: np.ndarray) -> np.ndarray:
-    """Rows of the features that lie farther than their neighbourhood from the edge of the mask."""
+    """Return the rows of the features whose neighbourhoods lie inside the mask."""
     padded = np.pad((mask > 0).astype(np.uint8), 1)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1]
     size = mask.shape[1] - 1, mask.shape[0] - 1

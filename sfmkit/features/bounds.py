@@ -1,8 +1,8 @@
 """Bounds of the options of the operators, per parameter of OpenCV's factories.
 
-OpenCV 5.0 checks few of its parameters: beyond some values it divides by zero, reads outside an
-array, or needs minutes for a small image. The bounds leave out those values and keep everything
-that is in use. They were found, and are tested, by running every operator at both ends of every
+OpenCV 5.0 checks few of its parameters: for some values, it divides by zero, reads outside an
+array, or needs minutes for a small image. The bounds exclude these values and include all values in
+common use. They were determined, and are tested, by running every operator at both ends of every
 option in a child process (tests/features/test_bounds.py).
 """
 
@@ -13,13 +13,13 @@ from collections.abc import Mapping
 
 __all__ = ["BOUNDS", "Range", "bounds_of"]
 
-Range = tuple[float, float]  # the smallest and the largest value that are accepted
+Range = tuple[float, float]  # the smallest and the largest accepted value
 
-_MOST = 10_000_000  # keypoints; ORB and SIFT reserve memory for as many as they are to find
+_MOST = 10_000_000  # keypoints; ORB and SIFT allocate memory for the requested number
 _GREY = (0, 255)  # a difference of grey values
 _EIGENVALUE: Mapping[str, Range] = {
     "maxCorners": (0, _MOST),
-    "qualityLevel": (1e-12, 1.0),  # OpenCV refuses 0
+    "qualityLevel": (1e-12, 1.0),  # OpenCV does not accept 0
     "minDistance": (0.0, 100_000.0),  # at 2^31 - 1 OpenCV crashes
     "blockSize": (1, 63),
     "k": (0.0, 1.0),
@@ -80,14 +80,14 @@ BOUNDS: Mapping[str, Mapping[str, Range]] = {
     "vgg": {"isigma": (0.1, 100.0), "scale_factor": (0.1, 100.0)},
 }
 
-TILTS: Range = (0, 6)  # 62 views at 6; the simulated views are 64 times as narrow at 12
+TILTS: Range = (0, 6)  # 62 views for 6; for 12, the simulated views would be compressed 64 times
 
 
 def bounds_of(detector: str, descriptor: str, option: str) -> Range:
-    """The smallest and the largest accepted value of an option of ``detector+descriptor``.
+    """Return the smallest and largest accepted values of an option of an operator.
 
-    An option whose name both parts use belongs to the detector. Options without a row, those of
-    plug-ins, need only be finite and not negative.
+    An option that both parts of ``detector+descriptor`` have belongs to the detector. Options
+    without a row, such as those of plug-ins, must only be finite and not negative.
     """
     for part in (detector, descriptor.removeprefix("root")):
         if option in BOUNDS.get(part, {}):

@@ -1,4 +1,4 @@
-"""The built-in operators: a row of the tables in :mod:`~sfmkit.features.tables` made callable."""
+"""The built-in operators: callables for the rows of :mod:`~sfmkit.features.tables`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BuiltInOperator:
         return self.spec.options
 
     def available(self) -> tuple[bool, str]:
-        """Whether the operator can run here, and if not, what to install."""
+        """Return whether the operator can run here and, if not, what to install."""
         return available(self.spec)
 
     def __call__(
@@ -58,7 +58,7 @@ class BuiltInOperator:
         device: Any = None,
         **options: Any,
     ) -> Features:
-        """The selected features of an (H, W, 3) or (H, W) uint8 image.
+        """Return the selected features of an (H, W, 3) or (H, W) uint8 image.
 
         Raises:
             OperatorError: The operator is not available here, or fails on this image.
@@ -79,7 +79,7 @@ class BuiltInOperator:
 
 
 def available(spec: OperatorSpec) -> tuple[bool, str]:
-    """Whether an operator can run here, and if not, what to install."""
+    """Return whether an operator can run here and, if not, what to install."""
     factories = [
         part.create
         for part in (DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor])
@@ -94,7 +94,7 @@ def available(spec: OperatorSpec) -> tuple[bool, str]:
 
 
 def _function(path: str | None) -> Callable[..., Any]:
-    """The function at ``module:name`` in this package, imported when it is needed."""
+    """Import the function ``module:name`` of this package."""
     assert path is not None
     module, _, name = path.partition(":")
     return getattr(import_module(f".{module}", __package__), name)
@@ -103,7 +103,7 @@ def _function(path: str | None) -> Callable[..., Any]:
 def _find(
     spec: OperatorSpec, grey: np.ndarray, settings: dict[str, Any], device: Any, select: Select
 ) -> Features:
-    """Features of a detector of OpenCV, or of a detector and the descriptor of another."""
+    """Run an operator of OpenCV, or a detector with the descriptor of another operator."""
     size_wh = (grey.shape[1], grey.shape[0])
     subpixel, oriented = settings.pop("subpixel", False), settings.pop("oriented", False)
     where, what = DETECTORS[spec.detector], DESCRIPTORS[spec.descriptor]
@@ -168,16 +168,17 @@ def _describe(
 
 
 def _hellinger(descriptors: np.ndarray) -> np.ndarray:
-    """L1-normalised and square-rooted descriptors.
+    """Return the square roots of L1-normalised descriptors.
 
-    Their L2 distance is the Hellinger distance of the originals (Arandjelovic & Zisserman 2012).
+    Their L2 distance is the Hellinger distance of the original descriptors (Arandjelovic &
+    Zisserman 2012).
     """
     total = descriptors.sum(axis=1, keepdims=True)
     return np.sqrt(descriptors / np.maximum(total, np.finfo(np.float32).tiny))
 
 
 def _settings(spec: OperatorSpec, preset: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """All options of the operator: defaults, then the preset's, then the caller's, checked."""
+    """Check the options and merge them: defaults, then the preset, then those of the caller."""
     replaced = {"default": {}, "paper": spec.paper, "dense": spec.dense}
     if preset not in replaced:
         raise InputError(f"preset must be one of {', '.join(replaced)}, not {preset!r}")

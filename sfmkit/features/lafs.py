@@ -1,8 +1,9 @@
-"""Conversion of :class:`sfmkit.types.Features` to and from kornia's local affine frames (LAFs).
+"""Conversion of :class:`sfmkit.types.Features` to and from local affine frames (LAFs).
 
-A LAF is a 2 x 3 matrix per keypoint: its last column is the position, the rest maps the unit circle
-to the described neighbourhood. Features store the diameter of that neighbourhood and an angle from
-x towards y (clockwise on the screen); kornia measures the radius, and angles the other way round.
+A LAF of kornia is a 2 x 3 matrix per keypoint. Its last column is the position, and the other
+columns map the unit circle to the described neighbourhood. Features store the diameter of that
+neighbourhood and an angle from x towards y (clockwise on the screen); kornia stores the radius and
+measures angles in the opposite direction.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ..types import Features
 
 
 def lafs_from_features(features: Features) -> Tensor:
-    """Return the keypoints as LAFs, (1, N, 2, 3) float32."""
+    """Convert the keypoints to LAFs, (1, N, 2, 3) float32."""
     xy, scales, angles = (
         torch.tensor(a, dtype=torch.float32)
         for a in (features.keypoints, features.scales, features.angles)
@@ -32,16 +33,16 @@ def lafs_from_features(features: Features) -> Tensor:
 
 
 def keypoints_from_lafs(lafs: Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return keypoints (N, 2), scales (N,) and angles (N,) of LAFs, as :class:`Features` has them.
+    """Convert LAFs to keypoints (N, 2), scales (N,) and angles (N,).
 
-    The affine shape of a LAF is lost: the scale is the diameter of the circle of equal area, the
-    angle is that of the frame's first axis.
+    The conventions are those of :class:`Features`. The affine shape of a LAF is lost: the scale is
+    the diameter of the circle of equal area, and the angle is that of the first axis of the frame.
 
     Args:
-        lafs: (1, N, 2, 3).
+        lafs: (1, N, 2, 3) local affine frames.
 
     Raises:
-        InputError: Another shape, or NaN.
+        InputError: The shape is wrong, or a value is NaN.
     """
     if lafs.ndim != 4 or lafs.shape[0] != 1 or tuple(lafs.shape[2:]) != (2, 3):
         raise InputError(f"lafs must have shape (1, N, 2, 3), not {tuple(lafs.shape)}")

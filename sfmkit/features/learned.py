@@ -1,7 +1,7 @@
-"""Operators with learned weights: ALIKED, DISK and XFeat by the networks of kornia.
+"""Operators with learned weights: ALIKED, DISK and XFeat with the networks of kornia.
 
-Each works on a copy of the image whose longest side is `image_size` pixels at most; positions come
-back in pixels of the image given.
+Each operator works on a copy of the image whose longest side has at most `image_size` pixels.
+Positions are in pixels of the original image.
 """
 
 from __future__ import annotations
@@ -35,11 +35,13 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class LearnedOperator:
-    """A network that finds and describes keypoints; see :class:`sfmkit.features.plugins.Operator`.
+    """A network that finds and describes keypoints.
+
+    :class:`sfmkit.features.plugins.Operator` describes the call.
 
     Attributes:
-        name: Of the operator.
-        network: Takes an image and the options `top_k`, `detection_threshold` and `device`.
+        name: Name of the operator.
+        network: Function of an image and the options `top_k`, `detection_threshold` and `device`.
         weights: Name of the weights in :data:`sfmkit.features.weights.WEIGHTS`.
         options: Every option with its default.
         width: Length of a descriptor.
@@ -60,11 +62,11 @@ class LearnedOperator:
         return f"Apache-2.0 (kornia); weights {WEIGHTS[self.weights].licence}"
 
     def provenance(self) -> str:
-        """What identifies the weights; part of cache keys and reports."""
+        """Return the digest of the weights, which is part of cache keys and reports."""
         return f"{self.weights} sha256:{weights_digest(self.weights)}"
 
     def available(self) -> tuple[bool, str]:
-        """Whether the weights are on this machine, and if not, how to get them."""
+        """Return whether the weights are installed and, if not, how to get them."""
         if find_weights(self.weights) is None:
             return False, how_to_get(self.weights)
         return True, ""
@@ -77,7 +79,9 @@ class LearnedOperator:
         device: Any = None,
         **options: int | float,
     ) -> Features:
-        """The features of an (H, W, 3) or (H, W) uint8 image; ``dense`` doubles `top_k`.
+        """Find and describe the features of an (H, W, 3) or (H, W) uint8 image.
+
+        The preset ``dense`` doubles `top_k`.
 
         Raises:
             OperatorError: The weights are missing.
@@ -177,8 +181,8 @@ def xfeat(
     found = _xfeat(device, weights_digest("xfeat")).detectAndCompute(
         image, top_k=top_k, detection_threshold=detection_threshold
     )[0]
-    # kornia multiplies pixels of the image that it resized to multiples of 32 by the ratio of the
-    # sides; pixel centres need half a pixel more.
+    # kornia resizes the image to multiples of 32 and multiplies the pixels by the ratio of the
+    # sides, which ignores that pixel centres are at integers.
     h, w = image.shape[-2:]
     ratio = image.new_tensor([w / (w // 32 * 32), h / (h // 32 * 32)])
     return found["keypoints"] + (ratio - 1) / 2, found["scores"], found["descriptors"]

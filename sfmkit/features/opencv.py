@@ -1,8 +1,7 @@
-"""OpenCV's detectors and descriptors behind arrays; nothing outside this file sees a
-``cv2.KeyPoint``.
+"""OpenCV's detectors and descriptors with an interface of arrays.
 
-Every call makes its own ``cv2.Feature2D``, so that threads can run side by side (OpenCV releases
-the GIL).
+``cv2.KeyPoint`` is used only in this file. Every call creates its own ``cv2.Feature2D``, so calls
+can run in parallel threads (OpenCV releases the GIL).
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ class Keypoints:
 
     Attributes:
         xy: (N, 2) float32 pixels.
-        sizes: (N,) float32 diameters as OpenCV's detector means them, pixels.
+        sizes: (N,) float32 diameters as defined by the detector of OpenCV, pixels.
         angles: (N,) float32 degrees, clockwise on screen; -1 for none.
-        scores: (N,) float32.
-        octaves: (N,) int64 pyramid level, as coded by the detector.
+        scores: (N,) float32 detector responses.
+        octaves: (N,) int64 pyramid levels, as coded by the detector.
     """
 
     xy: np.ndarray
@@ -42,7 +41,7 @@ class Keypoints:
         return len(self.xy)
 
     def take(self, index: np.ndarray) -> Keypoints:
-        """The keypoints at `index`, in that order."""
+        """Return the keypoints at `index`, in that order."""
         return Keypoints(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
@@ -59,7 +58,10 @@ def _from_cv(keypoints: tuple[cv2.KeyPoint, ...]) -> Keypoints:
 
 
 def _to_cv(kp: Keypoints) -> list[cv2.KeyPoint]:
-    """With the row as `class_id`, so that a keypoint that OpenCV drops can be told."""
+    """Convert to ``cv2.KeyPoint``, with the row as `class_id`.
+
+    The row identifies the keypoints that OpenCV drops.
+    """
     columns = (
         kp.xy[:, 0],
         kp.xy[:, 1],
@@ -73,7 +75,7 @@ def _to_cv(kp: Keypoints) -> list[cv2.KeyPoint]:
 
 
 def has(create: str) -> bool:
-    """Whether this build of OpenCV has the factory, e.g. ``xfeatures2d.FREAK_create``."""
+    """Return whether this build of OpenCV has a factory, e.g. ``xfeatures2d.FREAK_create``."""
     try:
         attrgetter(create)(cv2)
     except AttributeError:
@@ -113,11 +115,11 @@ def _detector(name: str, options: dict[str, Any]) -> cv2.Feature2D:
 
 
 def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
-    """Keypoints of one of :data:`~sfmkit.features.tables.DETECTORS`, in OpenCV's order.
+    """Detect keypoints, in the order of OpenCV.
 
     Args:
-        grey: (H, W) uint8.
-        name: The detector.
+        grey: (H, W) uint8 image.
+        name: A detector of :data:`~sfmkit.features.tables.DETECTORS`.
         options: Its options, under OpenCV's names.
 
     Raises:
@@ -132,11 +134,11 @@ def detect(grey: np.ndarray, name: str, options: dict[str, Any]) -> Keypoints:
 def detect_and_describe(
     grey: np.ndarray, name: str, options: dict[str, Any]
 ) -> tuple[Keypoints, np.ndarray]:
-    """Keypoints and descriptors of an operator that has both (SIFT, ORB, AKAZE, KAZE, BRISK) in one
-    pass.
+    """Detect and describe keypoints in one pass.
 
-    Arguments and errors as in :func:`detect`. The descriptors of an image without keypoints have
-    shape (0, width).
+    This is for the operators of OpenCV that have a detector and a descriptor (SIFT, ORB, AKAZE,
+    KAZE, BRISK). Arguments and errors are those of :func:`detect`. The descriptors of an image
+    without keypoints have the shape (0, width).
     """
     feature = _detector(name, options)
     if min(grey.shape) < DETECTORS[name].min_side:
@@ -148,8 +150,10 @@ def detect_and_describe(
 def describable(
     xy: np.ndarray, name: str, options: dict[str, Any], size_wh: tuple[int, int]
 ) -> np.ndarray:
-    """(N,) bool: keypoints whose patch, where its size is known beforehand, lies inside the
-    image."""
+    """Return which keypoints have a patch inside the image, (N,) bool.
+
+    If the size of the patch is not known in advance, the result is true for all.
+    """
     margin = DESCRIPTORS[name].margin + options.get("half_ssd_size", 0)
     if not margin:
         return np.ones(len(xy), dtype=bool)
@@ -160,19 +164,20 @@ def describable(
 def describe(
     grey: np.ndarray, kp: Keypoints, detector: str, name: str, options: dict[str, Any]
 ) -> tuple[Keypoints, np.ndarray]:
-    """Descriptors at the keypoints of any detector.
+    """Compute descriptors at the keypoints of any detector.
 
     Args:
-        grey: (H, W) uint8.
+        grey: (H, W) uint8 image.
         kp: The keypoints.
-        detector: Where they come from; its sizes are turned into FAST's (see
+        detector: The detector that found them; their sizes are converted to those of FAST (see
             ``DetectorSpec.fast_size``).
-        name: One of :data:`~sfmkit.features.tables.DESCRIPTORS`.
+        name: A descriptor of :data:`~sfmkit.features.tables.DESCRIPTORS`.
         options: Its options, under OpenCV's names.
 
     Returns:
-        The keypoints that have a descriptor (OpenCV drops those whose patch leaves the image), in
-        the given order, with the orientation that was used; and (M, D) descriptors.
+        The M keypoints that have a descriptor, in the given order, with the orientation that was
+        used; and the descriptors (M, D). OpenCV drops keypoints whose patch extends beyond the
+        image.
     """
     spec = DESCRIPTORS[name]
     assert spec.create is not None
@@ -184,7 +189,7 @@ def describe(
     if spec.reads_octave:
         level = np.rint(np.log(sizes / 7) / np.log(_ORB_LEVEL_RATIO))
         octaves = np.clip(level, 0, 7).astype(np.int64)
-    # Descriptors that do not look for a missing orientation read OpenCV's -1 as an angle.
+    # Descriptors that do not test for a missing orientation interpret OpenCV's -1 as an angle.
     angles = kp.angles if spec.reads_missing_angle else upright_is_zero(kp.angles)
     given = replace(kp, sizes=sizes, octaves=octaves, angles=angles)
     described, descriptors = _run(f"{detector}+{name}", grey, feature.compute, _to_cv(given))
@@ -199,7 +204,7 @@ def describe(
 
 
 def upright_is_zero(angles: np.ndarray) -> np.ndarray:
-    """Degrees in [0, 360), with 0 where OpenCV says -1 for none."""
+    """Return degrees in [0, 360), with 0 where OpenCV's -1 stands for no orientation."""
     return np.where(angles == -1, 0, angles % 360).astype(np.float32)
 
 
@@ -209,19 +214,20 @@ def _empty(feature: cv2.Feature2D) -> np.ndarray:
 
 
 def centroid_angles(grey: np.ndarray, xy: np.ndarray, radius: int = 15) -> np.ndarray:
-    """Orientation by the intensity centroid: the direction from a corner to the centroid of the
-    disc around it.
+    """Compute the orientation of corners from the intensity centroid.
 
-    (Rosin 1999; Rublee et al. 2011, eqs. 1-3.) It makes an upright corner detector follow a rotated
-    image.
+    The orientation is the direction from the corner to the centroid of the disc around it. With it,
+    the descriptors of an upright corner detector become invariant to rotation.
 
     Args:
-        grey: (H, W) uint8.
+        grey: (H, W) uint8 image.
         xy: (N, 2) pixels inside the image.
-        radius: Of the disc, pixels.
+        radius: Radius of the disc in pixels.
 
     Returns:
         (N,) float32 degrees in [0, 360), clockwise on screen.
+
+    Source: Rosin 1999; Rublee et al. 2011, eqs. 1-3.
     """
     side = 2 * radius + 1
     offset = np.arange(-radius, radius + 1, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Stage 1: one call for every feature operator, ``detect(image, "surf") -> Features``."""
+"""Stage 1: detection and description with any operator, ``detect(image, "surf")``."""
 
 from __future__ import annotations
 
@@ -36,28 +36,30 @@ def detect(
         operator: The name of an operator (``sfmkit operators`` lists them), ``detector+descriptor``
             (``fast+freak``), ``affine-`` and a name, or the import path of a plug-in
             (``mypackage.mine:detect``).
-        budget: At most this many keypoints, strong ones spread evenly
+        budget: Maximum number of keypoints; strong keypoints are selected evenly over the image
             (:func:`~.selection.select_evenly`).
-        mask: (H, W); keypoints where it is zero are dropped. It is applied after detection, so an
-            operator's own limits (``nfeatures``, relative thresholds) refer to the whole image.
-        max_size: The longest side, in pixels, at which to search; a larger image is reduced first.
-            Positions and scales are those of the full image.
-        preset: Which settings are used where `options` does not say: ours, the paper's, or ours
-            for as many keypoints as can be matched (``dense``: half the least contrast).
-        device: Where operators in torch compute (SURF, XFeat); the others ignore it.
-        options: Of the operator; ``OPERATORS[name].options`` lists those of a built-in one with
-            their defaults. Where detector and descriptor share a name, it is the detector's.
-            ``subpixel`` refines whole-pixel corners, ``oriented`` gives upright corners the
-            orientation of their intensity centroid.
+        mask: (H, W) array; keypoints where it is zero are dropped. The mask is applied after
+            detection, so an operator's own limits (``nfeatures``, relative thresholds) refer to the
+            whole image.
+        max_size: Longest side in pixels at which features are detected; a larger image is reduced
+            first. Positions and scales are those of the full image.
+        preset: Settings for options that are not given: ``default``, ``paper`` (those of the
+            paper), or ``dense`` (the default with half the minimum contrast, for as many keypoints
+            as can be matched).
+        device: Torch device for operators written in torch (SURF, XFeat); others ignore it.
+        options: Options of the operator; ``OPERATORS[name].options`` contains those of a built-in
+            operator with their defaults. A name that the detector and the descriptor share refers
+            to the detector. ``subpixel`` refines whole-pixel corners; ``oriented`` gives upright
+            corners the orientation of their intensity centroid.
 
     Returns:
-        The features, the same bits for the same input. An image without any gives empty arrays of
-        the right widths.
+        The features, bitwise identical for the same input. An image without features gives empty
+        arrays of the correct widths.
 
     Raises:
         OperatorError: The operator is unknown or not available here, fails on this image, or is a
             plug-in that breaks its contract.
-        InputError: An unusable image, mask, size, budget or option.
+        InputError: The image, mask, size, budget or an option is invalid.
     """
     name = OPERATOR_PLUGINS.canonical(operator)
     rgb = _rgb(image)
@@ -105,7 +107,7 @@ def _is_positive(value: Any) -> bool:
 
 
 def _rgb(image: Any) -> np.ndarray:
-    """(H, W, 3) uint8, contiguous."""
+    """Return the image as contiguous (H, W, 3) uint8."""
     array = getattr(image, "rgb", image)
     if not isinstance(array, np.ndarray):
         raise InputError(
@@ -125,13 +127,13 @@ def _rgb(image: Any) -> np.ndarray:
 
 
 def _grey(image: Any, rgb: np.ndarray) -> np.ndarray:
-    """(H, W) uint8."""
+    """Return the image in grey levels, (H, W) uint8."""
     grey = getattr(image, "grey", image)
     return grey if grey.ndim == 2 else cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
 
 
 def _reduced(image: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple[float, float]]:
-    """The image with its longest side at most `max_size`, and the true scales of x and y."""
+    """Reduce the longest side to `max_size`; return the image and the scales of x and y."""
     if max_size is None:
         return image, (1.0, 1.0)
     if not _is_positive(max_size):
@@ -146,22 +148,23 @@ def _reduced(image: np.ndarray, max_size: int | None) -> tuple[np.ndarray, tuple
 
 
 def _full_size(xy: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
-    """Pixels of the full image from those of the reduced one; pixel centres are whole numbers."""
+    """Convert pixels of the reduced image to the full image; pixel centres are integers."""
     return (xy.astype(np.float64) + 0.5) / scale - 0.5
 
 
 @dataclass(frozen=True)
 class OperatorInfo:
-    """One line of the table of operators.
+    """A row of the table of operators.
 
     Attributes:
-        name: Of the operator.
-        norm, width: Of its descriptors, in words; ``?`` for a plug-in, whose descriptors are known
-            only once it has run.
+        name: Name of the operator.
+        norm, width: Norm and width of its descriptors, in words; ``?`` for a plug-in, whose
+            descriptors are known only after it has run.
         available: Whether it can run here.
-        reason: What is missing where it cannot.
-        licence: Of the implementation, and patents; for a plug-in, where its code comes from.
-        summary: One line.
+        reason: What is missing if it cannot run.
+        licence: Licence of the implementation, and patents; for a plug-in, the provenance of its
+            code.
+        summary: Description in one line.
     """
 
     name: str
@@ -174,7 +177,7 @@ class OperatorInfo:
 
 
 def available(name: str) -> tuple[bool, str]:
-    """Whether an operator can run here, and if not, what to install.
+    """Return whether an operator can run here and, if not, what to install.
 
     Raises:
         OperatorError: There is no such operator.
@@ -184,11 +187,11 @@ def available(name: str) -> tuple[bool, str]:
 
 
 def choose_operators(names: Iterable[str]) -> tuple[str, ...]:
-    """The canonical names of operators that can run here, each once, in the given order.
+    """Return the canonical names of operators, each once, in the given order.
 
     Raises:
-        InputError: There is none, or one is not available here.
-        OperatorError: One is unknown.
+        InputError: No operator is given, or one is not available here.
+        OperatorError: An operator is unknown.
     """
     chosen = tuple(dict.fromkeys(OPERATOR_PLUGINS.canonical(name) for name in names))
     if not chosen:
@@ -201,7 +204,7 @@ def choose_operators(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def list_operators() -> list[OperatorInfo]:
-    """Every operator that has a name here, for a table."""
+    """List all registered and installed operators."""
     return [_info(name) for name in OPERATOR_PLUGINS]
 
 

@@ -1,4 +1,4 @@
-"""The extension point of feature operators: contract, registry and the built-in operators."""
+"""The extension point for feature operators: contract, registry, built-in operators."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ class Operator(Protocol):
     its value from sfmkit:
 
     - ``grey``: (H, W) uint8, the image in grey levels;
-    - ``select``: function ``(xy, scores) -> rows`` that returns the keypoints within mask and
-      budget, for an operator that describes only these; xy (N, 2) pixels of the image, scores (N,);
+    - ``select``: function ``(xy, scores) -> rows`` that returns the keypoints within the mask and
+      the budget, so that an operator can describe only these; xy (N, 2) are pixels of the image,
+      scores (N,);
     - ``preset``: ``default``, ``paper`` or ``dense``;
     - ``device``: torch device on which to compute, or None for the CPU.
 

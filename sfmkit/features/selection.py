@@ -1,4 +1,4 @@
-"""Select keypoints within a budget, spread over the whole image."""
+"""Selection of a limited number of keypoints, spread over the whole image."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _LEAF_BITS = 6
 def suppression_radii(
     keypoints: np.ndarray, scores: np.ndarray, robustness: float = ROBUSTNESS
 ) -> np.ndarray:
-    """Compute the distance from every keypoint to the nearest clearly stronger one.
+    """Compute the distance from every keypoint to the nearest clearly stronger keypoint.
 
     Keypoint j is clearly stronger than i if ``score_i < robustness * score_j`` (Brown, Szeliski &
-    Winder 2005, section 3). With a robustness of 1, the first of two equal ones is the stronger.
+    Winder 2005, section 3). With a robustness of 1, the first of two equal keypoints is regarded as
+    stronger.
 
     Args:
         keypoints: (N, 2) pixels.
@@ -25,11 +26,11 @@ def suppression_radii(
         robustness: At most 1. A smaller value reduces the influence of noise in the scores.
 
     Returns:
-        (N,) float64 pixels; infinite without a clearly stronger one.
+        (N,) float64 pixels; infinite without a clearly stronger keypoint.
     """
     order = np.argsort(-scores, kind="stable")
     points, strength = keypoints[order], scores[order]
-    # In order of strength, the clearly stronger ones of i are the first stronger[i] points.
+    # In order of strength, the first stronger[i] points are clearly stronger than point i.
     n = len(points)
     stronger = (
         np.arange(n) if robustness == 1 else np.searchsorted(-robustness * strength, -strength)
@@ -42,8 +43,8 @@ def suppression_radii(
 def _distance_to_first(points: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Compute the distance from point i to the nearest of ``points[:first[i]]``, or infinity.
 
-    The first m points are one block of 2^b points for every bit b that is set in m: each block has
-    its own k-d tree, and the last few points are compared one by one.
+    The first m points consist of one block of 2^b points for every bit b that is set in m. Each
+    block has its own k-d tree, and the last few points are compared one by one.
     """
     distance = np.full(len(points), np.inf)
     for bit in range(_LEAF_BITS, int(first.max(initial=0)).bit_length()):
@@ -72,21 +73,21 @@ def select_evenly(
     """Select at most `budget` strong keypoints, spread over the image.
 
     Adaptive non-maximal suppression (Brown, Szeliski & Winder 2005, section 3) keeps the keypoints
-    with the `budget` largest distances to the nearest clearly stronger one. If more than `budget`
-    keypoints have no clearly stronger one, those with the largest distances to any stronger one are
-    kept.
+    with the `budget` largest distances to the nearest clearly stronger keypoint. If more than
+    `budget` keypoints have no clearly stronger one, those with the largest distances to any
+    stronger keypoint are kept.
 
     Args:
-        keypoints: (N, 2) pixels.
-        scores: (N,) larger is stronger.
-        budget: How many to keep, at least 1.
-        size_wh: The image's width and height; keypoints must lie in it.
+        keypoints: (N, 2) pixels inside the image.
+        scores: (N,) strengths.
+        budget: Number of keypoints to keep, at least 1.
+        size_wh: Width and height of the image in pixels.
 
     Returns:
-        Rows of the chosen keypoints, ascending. The same input gives the same rows.
+        Rows of the selected keypoints in ascending order. The same input gives the same rows.
 
     Raises:
-        InputError: A budget below 1, inconsistent shapes, or keypoints outside the image.
+        InputError: The budget is below 1, shapes do not fit, or keypoints lie outside the image.
     """
     if isinstance(budget, bool) or not isinstance(budget, (int, np.integer)) or budget < 1:
         raise InputError(

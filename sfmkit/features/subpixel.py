@@ -1,7 +1,8 @@
-"""Sub-pixel refinement of corners: the maximum of a paraboloid through the detector's response.
+"""Sub-pixel refinement of corners with a paraboloid through the detector's response.
 
-Another response (for example Harris around FAST corners) has its maximum elsewhere and makes
-positions worse, as ``cv2.cornerSubPix`` does; see docs/benchmarks.md.
+The response must be that of the detector. Another response (for example Harris around FAST corners)
+has its maximum elsewhere and makes positions worse, as ``cv2.cornerSubPix`` does; see
+docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ Response = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 def fast_score(grey: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Compute the FAST-9 score at whole pixels at least 3 pixels inside the image.
 
-    The largest threshold at which 9 neighbouring pixels of the circle are all brighter, or all
-    darker, than the centre by more than it (Rosten & Drummond 2006); ``cv2.FastFeatureDetector``
-    reports this number minus 1.
+    The score is the largest threshold by which 9 contiguous pixels of the circle are all brighter,
+    or all darker, than the centre (Rosten & Drummond 2006). ``cv2.FastFeatureDetector`` reports
+    this number minus 1.
 
     Args:
-        grey: (H, W) uint8.
+        grey: (H, W) uint8 image.
         x, y: Integer arrays of one shape.
 
     Returns:
-        int16 array of that shape; not positive where the pixel is not a corner at any threshold.
+        An int16 array of that shape; not positive where the pixel is not a corner at any threshold.
     """
     flat, at = grey.reshape(-1), y * grey.shape[1] + x
     centre = flat[at].astype(np.int16)
@@ -61,7 +62,7 @@ def paraboloid_top(r: np.ndarray) -> np.ndarray:
         r: (3, 3, N) values, rows (y) first.
 
     Returns:
-        (N, 2) x, y from the middle, clamped to [-1/2, 1/2]; 0 without a maximum.
+        (N, 2) offsets x, y from the middle, clamped to [-1/2, 1/2]; 0 without a maximum.
     """
     g_x, g_y = (r[:, 2] - r[:, 0]).sum(axis=0) / 6, (r[2] - r[0]).sum(axis=0) / 6
     h_xx = (r[:, 0] - 2 * r[:, 1] + r[:, 2]).sum(axis=0) / 3
@@ -81,16 +82,16 @@ def refine(
     """Refine the positions of whole-pixel corners to a fraction of a pixel.
 
     Args:
-        grey: (H, W) uint8, their image.
+        grey: (H, W) uint8 image.
         xy: (N, 2) positions from OpenCV.
         detector: ``fast``, ``agast``, ``orb``, ``gftt`` or ``harris``.
-        options: The detector's.
-        octave: (N,) pyramid level of each (ORB; elsewhere unused).
+        options: Options of the detector.
+        octave: (N,) pyramid level of each keypoint; used only for ORB.
 
     Returns:
-        (N, 2) float64. Positions of ORB are also corrected for the true sizes of the pyramid's.
-        levels: OpenCV multiplies level coordinates by the nominal scale, which is wrong by up to 2.
-        Pixels.
+        (N, 2) float64 positions. Positions of ORB are also corrected for the true sizes of the
+        pyramid levels: OpenCV multiplies level coordinates by the nominal scale, which causes
+        errors of up to 2 pixels.
     """
     if detector == "orb":
         return _refine_pyramid(grey, xy, octave, options)
@@ -109,7 +110,7 @@ def refine(
 
 
 def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 4) -> np.ndarray:
-    """Compute offsets (N, 2) to the response's maximum; 0 within `margin` of the border."""
+    """Compute offsets (N, 2) to the maximum of the response; 0 within `margin` of the border."""
     h, w = grey.shape
     offset = np.zeros((len(xy), 2))
     cell = np.rint(xy).astype(np.int64)
@@ -124,7 +125,10 @@ def _offset(grey: np.ndarray, xy: np.ndarray, response: Response, margin: int = 
 def _pyramid(
     grey: np.ndarray, scale_factor: float, levels: int
 ) -> Iterator[tuple[int, float, np.ndarray]]:
-    """Yield level, nominal scale and image of ORB's pyramid, each resized from the previous."""
+    """Yield the number, nominal scale and image of each level of ORB's pyramid.
+
+    Each level is resized from the previous level.
+    """
     h, w = grey.shape
     for level in range(levels):
         scale = scale_factor**level

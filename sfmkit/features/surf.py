@@ -18,9 +18,9 @@ from ..types import Features
 from .surf_descriptor import Level, descriptor, level_of, orientation, smoothed_levels
 from .surf_detector import fast_hessian
 
-CHUNK = 1024  # keypoints described at once on a CPU, whose samples fit the cache
+CHUNK = 1024  # keypoints described at once on a CPU: their samples fit in the cache
 CHUNK_ACCELERATOR = 8192
-# pixels; nearby keypoints are described together, so that their pixels stay in the cache
+# pixels; the keypoints of a tile are described together, so that their pixels stay in the cache
 TILE = 256
 
 
@@ -38,17 +38,18 @@ def surf(
 
     Args:
         image: (H, W) grey levels 0 to 255, uint8 or another real type, which is rounded.
-        hessian_threshold: Minimum determinant of the Hessian, as in OpenCV (whose default is 100;
-            the paper on fusion that sfmkit follows uses 30).
-        octaves: Doublings of the filters' size.
-        layers: Scales in an octave at which blobs are found.
-        extended: 128 numbers per descriptor instead of 64.
-        upright: Leave the orientation at 0 (U-SURF): faster, for cameras that do not roll.
+        hessian_threshold: Minimum determinant of the Hessian, as in OpenCV, whose default is 100.
+            Dippold & Tsai use 30.
+        octaves: Number of octaves; the size of the filters doubles from one to the next.
+        layers: Number of scales in an octave at which blobs are found.
+        extended: Whether a descriptor has 128 numbers instead of 64.
+        upright: Whether the orientation is 0 (U-SURF), which is faster, for cameras that do not
+            roll.
         device: Torch device; the CPU by default.
 
     Returns:
-        The features, strongest first: `scales` are diameters in pixels, `scores` determinants of
-        the Hessian, `angles` radians, `laplacian` the sign of the Laplacian.
+        The features, strongest first. `scales` are diameters in pixels, `scores` determinants of
+        the Hessian, `angles` radians, and `laplacian` is the sign of the Laplacian.
 
     Raises:
         InputError: The image or an option is invalid.
@@ -98,7 +99,7 @@ def describe(
         scales: (N,) diameters in pixels, positive.
         angles: (N,) radians from x towards y; None to compute SURF's own orientation.
         extended, device: As for :func:`surf`.
-        upright: Use the angle 0 for all keypoints and ignore `angles`.
+        upright: Whether to use the angle 0 for all keypoints and ignore `angles`.
 
     Returns:
         (N, 64 or 128) float32 descriptors of unit length, in the order of the keypoints.

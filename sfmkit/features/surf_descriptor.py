@@ -19,20 +19,20 @@ from torch.nn.functional import grid_sample
 # Gaussian scale s that a box filter of side `size` approximates, over `size` (section 3.3)
 SCALE_PER_SIZE = 1.2 / 9
 
-ORIENTATION_RADIUS = 6  # of the disc of Haar responses, in s; sampled every s
-ORIENTATION_SIGMA = 2.5  # of the Gaussian weights over the disc, in s
-WINDOW_DEGREES = 60  # of the sliding sector, closed at both ends but for half a degree
+ORIENTATION_RADIUS = 6  # radius of the disc of Haar responses, in s; sampled every s
+ORIENTATION_SIGMA = 2.5  # sigma of the Gaussian weights over the disc, in s
+WINDOW_DEGREES = 60  # angle of the sliding sector, closed at both ends up to half a degree
 SEARCH_DEGREES = 5  # step of the sliding sector
 # multiples of the step and the gaps between them, -180 to 180 degrees
 BINS = 2 * 360 // SEARCH_DEGREES + 1
 
 PATCH = 20  # side of the described window, in s
 CELLS = 4  # per side
-PATCH_SIGMA = 3.3  # of the Gaussian weights over the window, in s
+PATCH_SIGMA = 3.3  # sigma of the Gaussian weights over the window, in s
 
 
 class Level(NamedTuple):
-    """Means of the image over squares `box` pixels wide, at every `step`-th pixel."""
+    """Means of the image over squares of `box` x `box` pixels, at every `step`-th pixel."""
 
     mean: Tensor
     box: int
@@ -40,7 +40,7 @@ class Level(NamedTuple):
 
 
 def smoothed_levels(integral: Tensor, levels: int) -> list[Level]:
-    """Compute the first `levels` levels, as far as their boxes fit the image.
+    """Compute the first `levels` levels whose boxes fit in the image.
 
     The boxes are 1, 2, 4, ... pixels wide, at steps of half a box.
     """
@@ -74,7 +74,7 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
         size: (N,) diameters.
 
     Returns:
-        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits the image or the
+        (N,) radians in [0, 2 pi) from x towards y; 0 where no Haar wavelet fits in the image or the
         neighbourhood has no contrast.
     """
     high, wide = (n - 1 for n in integral.shape)
@@ -118,9 +118,9 @@ def orientation(integral: Tensor, xy: Tensor, size: Tensor) -> Tensor:
     )
     gx, gy = weight * gx, weight * gy
 
-    # The sector of 60 degrees moves in steps of 5, on directions rounded to whole degrees; every
-    # sector is then a sum of bins that hold one multiple of 5 degrees, or the four degrees between
-    # two of them.
+    # Directions are rounded to whole degrees, and the sector of 60 degrees moves in steps of 5.
+    # Every sector is then a sum of bins, each of which contains one multiple of 5 degrees or the
+    # four degrees between two of them.
     direction = torch.atan2(gy, gx).mul_(180 / math.pi).round_().div_(SEARCH_DEGREES)
     bins = (direction.floor().add_(direction.ceil()).add_(BINS // 2)).long()
     bins += torch.arange(len(size), device=bins.device) * BINS
@@ -137,11 +137,11 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
     """Sum gradients over 4 x 4 cells of the rotated window of each keypoint (section 4.2).
 
     Args:
-        level: A box mean of the image, from :func:`smoothed_levels`.
+        level: Box means of the image, from :func:`smoothed_levels`.
         xy: (N, 2) pixels.
         size: (N,) diameters.
         angle: (N,) radians.
-        extended: Split the sums of dx by the sign of dy and the other way round.
+        extended: Whether to split the sums of dx by the sign of dy, and vice versa.
 
     Returns:
         (N, 64), or (N, 128) when extended, float32 of unit length; zero where the window has no
@@ -152,8 +152,8 @@ def descriptor(level: Level, xy: Tensor, size: Tensor, angle: Tensor, extended: 
     samples = PATCH + 1
     window = (samples * SCALE_PER_SIZE * size).floor().clamp(min=1)  # whole pixels
     spacing = window / samples
-    # Pixels -> samples of `mean` -> grid_sample's [-1, 1] from the outer edge of the first sample
-    # to that of the last.
+    # Convert pixels to samples of `mean`, and these to the range [-1, 1] of grid_sample, from the
+    # outer edge of the first sample to that of the last.
     to_grid = torch.tensor([2 / wide, 2 / high], device=mean.device)
     centre = ((xy - (box - 1) / 2) / step + 0.5) * to_grid - 1
     reach = (torch.arange(samples, device=mean.device) - PATCH / 2)[:, None, None]

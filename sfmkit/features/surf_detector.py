@@ -1,15 +1,15 @@
 """The fast-Hessian detector of SURF.
 
-It detects blobs as maxima of the determinant of the Hessian, from box filters, over position and
-scale.
+The detector finds blobs: maxima of the determinant of the Hessian over position and scale, computed
+with box filters.
 
 Bay, Ess, Tuytelaars, Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008), section 3.
 
 All dense computations use flat strips. A strip of full rows is contiguous in memory, a shift by
 (rows, columns) is an offset into it, and a box sum is a few differences of shifted parts of the
-integral image. These operations are fast in a tensor library, and the strips fit the cache. The
-columns that wrap around a row's end contain invalid values; they lie in the margin where a filter
-would extend beyond the image, which is discarded.
+integral image. These operations are fast in a tensor library, and the strips fit in the cache. The
+columns that wrap around the end of a row contain invalid values. They lie in the margin where a
+filter would extend beyond the image, which is discarded.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from .._utils.parallel import map_on_cores
 FIRST_SIZE = 9
 SIZE_STEP = 6  # difference in side from layer to layer in the first octave
 CROSS_WEIGHT = 0.81  # 0.9^2, balances the box approximation of Dxy against Dxx and Dyy (sec. 3.2)
-# samples of one layer in a strip: few enough for the cache, enough to outweigh the cost of a call
+# samples of one layer in a strip: few enough for the cache, many enough for the cost of a call
 STRIP = 1 << 18
 STRIP_ACCELERATOR = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
-    """Extrema of the fast Hessian, all tensors of length N on one device.
+    """Extrema of the fast Hessian: tensors of length N on one device.
 
     Attributes:
-        xy: (N, 2) float32 pixels, sub-pixel.
+        xy: (N, 2) float32 pixels with sub-pixel precision.
         size: (N,) float32 side of the box filter at the extremum, whole pixels; the keypoint's
             diameter.
         response: (N,) float32 determinant of the Hessian, per pixel.
@@ -60,11 +60,12 @@ def fast_hessian(
 
     Args:
         integral: (H + 1, W + 1) int32 integral image, modulo 2^32.
-        threshold: Maxima are above it.
-        octaves: Doublings of the sampling step; those whose filters do not fit the image are left
-            out.
-        layers: Layers per octave that are searched for maxima; two more surround them.
-        strip: Samples of one layer in a strip; affects the speed, not the result. The default
+        threshold: Lower bound of the maxima.
+        octaves: Number of octaves, from each of which to the next the sampling step doubles;
+            octaves whose filters do not fit in the image are left out.
+        layers: Number of layers per octave that are searched for maxima; one more lies on either
+            side.
+        strip: Number of samples of one layer in a strip, which affects only the speed. The default
             depends on the device.
     """
     strip = strip or (STRIP if integral.device.type == "cpu" else STRIP_ACCELERATOR)
@@ -113,7 +114,7 @@ class _Octave:
         step = self.step
         high, wide = (-(-n // step) for n in integral.shape)
         self.pitch = wide
-        # rows that filters of the strips at the border may reach beyond it
+        # number of rows by which filters of the strips at the border can extend beyond it
         self.guard = self.sizes[-1] // step + 2
         self.phases = [
             [integral.new_zeros((high + 2 * self.guard) * wide) for _ in range(step)]
@@ -215,8 +216,9 @@ class _Octave:
         det = torch.zeros(len(self.sizes), length, device=self.device)
         for number, response in enumerate(det):
             self.determinant(number, (top - 1) * pitch, response)
-        # The highest of the 27 samples around each, first over the layers, then along and across
-        # the rows. A sample equal to it is a maximum, unless another one is equal too.
+        # The highest of the 27 samples around each sample is computed first over the layers, then
+        # along and across the rows. A sample that is equal to it is a maximum, unless another one
+        # is equal too.
         highest = torch.maximum(det[:-1], det[1:])
         highest = torch.maximum(highest[:-1], highest[1:])
         across = torch.maximum(highest[:, :-2], highest[:, 2:])

@@ -29,20 +29,20 @@ class DetectorSpec:
     """A keypoint detector.
 
     Attributes:
-        create: Name of its factory in ``cv2``; None for an sfmkit implementation.
-        options: Its options with our defaults.
-        function: Of an sfmkit implementation, ``module:name`` in this package:
+        create: Name of its factory in ``cv2``; None for an implementation in sfmkit.
+        options: Its options with the defaults of sfmkit.
+        function: For an implementation in sfmkit, the function ``module:name`` of this package:
             ``(grey, *, device, **options) -> Features``.
         fixed: Options of the factory with a fixed value.
-        fast_size: A keypoint's size times this is the diameter of FAST (7 pixels for a corner at
-            full resolution). `size` differs between OpenCV's detectors; its descriptors assume
-            that of FAST.
-        integer: Positions are whole pixels, refined when `subpixel` is on.
+        fast_size: Factor that converts the size of a keypoint to that of FAST (7 pixels for a
+            corner at full resolution). Sizes differ between OpenCV's detectors; its descriptors
+            assume those of FAST.
+        integer: Whether positions are whole pixels, which `subpixel` refines.
         oriented: Whether keypoints have an orientation.
         only_with: The only descriptor that can describe its keypoints; None for any.
         why: The reason for `only_with`.
         min_side: Images with a shorter side have no keypoints (OpenCV fails or crashes on them).
-        licence: Of the implementation, and patents.
+        licence: Licence of the implementation, and patents.
     """
 
     create: str | None
@@ -63,26 +63,26 @@ class DescriptorSpec:
     """A keypoint descriptor.
 
     Attributes:
-        create: Name of its factory in ``cv2``; None for an sfmkit implementation.
-        norm: Of the distance between two descriptors.
-        width: Length in floats (norm l2) or bits (norm hamming), at default options.
-        options: Its options with our defaults.
-        function: Of an sfmkit implementation, ``module:name`` in this package:
+        create: Name of its factory in ``cv2``; None for an implementation in sfmkit.
+        norm: Norm of the distance between two descriptors.
+        width: Length in floats (norm l2) or bits (norm hamming), with default options.
+        options: Its options with the defaults of sfmkit.
+        function: For an implementation in sfmkit, the function ``module:name`` of this package:
             ``(grey, xy, sizes, angles, *, device, **options) -> descriptors``.
         fixed: Options of the factory with a fixed value.
         native: The detector with which it is one operator; by default that of the same name.
-        size: The neighbourhood of an sfmkit descriptor, as a multiple of FAST's size.
-        hellinger: Compare by the Hellinger kernel instead of L2.
-        reads_octave: Takes the scale from the keypoint's octave, not from its size.
-        reads_missing_angle: Computes an orientation only if the keypoint has none (-1).
+        size: Size of the neighbourhood of a descriptor of sfmkit, as a multiple of the FAST size.
+        hellinger: Whether descriptors are compared by the Hellinger kernel instead of L2.
+        reads_octave: Whether the scale is taken from the keypoint's octave instead of its size.
+        reads_missing_angle: Whether an orientation is computed only if the keypoint has none (-1).
         margin: Keypoints closer than this to the border, in pixels, are dropped; 0 if the margin
             depends on their size.
-        orients: Computes the orientation itself and ignores that of the detector.
-        rotates_by: The option that makes it follow the keypoint's orientation; None if it always
-            does.
+        orients: Whether the descriptor computes the orientation and ignores that of the detector.
+        rotates_by: The option that rotates the descriptor by the keypoint's orientation; None if
+            it is always rotated.
         only_with: The only detector whose keypoints it can describe; None for any.
         why: The reason for `only_with`.
-        licence: Of the implementation, and patents.
+        licence: Licence of the implementation, and patents.
     """
 
     create: str | None
@@ -109,14 +109,14 @@ class OperatorSpec:
     """A detector with a descriptor.
 
     Attributes:
-        name: As in ``detect(image, name)``.
-        detector, descriptor: Rows of :data:`DETECTORS` and :data:`DESCRIPTORS`.
+        name: Name in ``detect(image, name)``.
+        detector, descriptor: Keys of :data:`DETECTORS` and :data:`DESCRIPTORS`.
         norm: ``l2`` or ``hamming``.
-        width: Descriptor length in floats or bits, at default options.
-        options: Every option with our default.
+        width: Length of a descriptor in floats or bits, with default options.
+        options: Every option with the default of sfmkit.
         paper, dense: Options that replace the defaults in these presets.
-        licence: Of the implementation, and patents (facts only).
-        summary: One line.
+        licence: Licence of the implementation, and patents (facts only).
+        summary: Description in one line.
     """
 
     name: str
@@ -139,7 +139,7 @@ class OperatorSpec:
 _SIFT: Options = {
     "nfeatures": 0,
     "nOctaveLayers": 3,
-    # OpenCV's default 0.04 finds only 3,800 keypoints in a 6-megapixel photograph
+    # OpenCV's default of 0.04 finds only 3,800 keypoints in a 6-megapixel photograph.
     "contrastThreshold": 0.01,
     "edgeThreshold": 10.0,
     "sigma": 1.6,
@@ -330,7 +330,7 @@ LEFT_OUT: Mapping[str, str] = {
 
 
 def _pair(detector: str, descriptor: str, name: str, summary: str) -> OperatorSpec:
-    """Combine two rows into an operator; the detector's option wins where both have one."""
+    """Combine two rows into an operator; the detector's option has precedence."""
     where, what = DETECTORS[detector], DESCRIPTORS[descriptor]
     native = detector == (what.native or descriptor)
     options = dict(where.options) if native else {**what.options, **where.options}

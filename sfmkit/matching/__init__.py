@@ -1,4 +1,4 @@
-"""Stage 2, Features -> Matches -> Correspondences: nearest neighbours, guided matching, fusion."""
+"""Stage 2, Features -> Matches -> Correspondences: matching and fusion."""
 
 from .fusion import absorb, find_leaders, fuse, represent
 from .guided import match_guided

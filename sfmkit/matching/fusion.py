@@ -1,10 +1,9 @@
-"""Fusion: the matches of several operators become one set of correspondences that remembers who
-found what.
+"""Fusion of the matches of several operators into one set of correspondences.
 
-Dippold & Tsai concatenate the operators' matches. Where several operators fire on one corner, plain
-concatenation counts
-that corner several times: it weighs more in every fit, and minimal samples drawn from it are
-degenerate. Here coincident correspondences are merged into one that carries all of its operators.
+Dippold & Tsai concatenate the matches of the operators. If several operators find the same corner,
+plain concatenation counts that corner several times: it has a larger weight in every fit, and
+minimal samples drawn from it are degenerate. Here, coincident correspondences are merged into one
+that records all operators that found it.
 """
 
 from __future__ import annotations
@@ -25,32 +24,34 @@ def fuse(
     merge_radius: float | None = 1.0,
     cost: Mapping[str, np.ndarray] | None = None,
 ) -> Correspondences:
-    """The matches of all operators in one set, coincident ones merged.
+    """Merge the matches of all operators into one set of correspondences.
 
-    Correspondences coincide when their points lie within `merge_radius` of each other in both
-    images; one point with two different partners is a conflict and stays as it is, for the robust
-    estimator to judge. Merging is greedy: the most distinctive correspondence (lowest ratio of best
-    to second-best descriptor distance, which is comparable between operators where distances are
-    not) absorbs all that coincide with it, then the best of the rest, and so on. So every
-    correspondence is represented by a better or equal one within the radius, no two that are kept
-    coincide, and chains of neighbours do not grow together. Equal ratios, and matches without one,
-    which come last, are decided by the name of the
-    operator and the row: the order of the operators does not matter to what is kept.
+    Two correspondences coincide if their points lie within `merge_radius` of each other in both
+    images. A point with two different partners is a conflict; both correspondences are kept, and
+    the robust estimator decides between them.
+
+    Merging is greedy: the most distinctive correspondence absorbs all that coincide with it, then
+    the most distinctive of the rest, and so on. The measure is the ratio of the best to the
+    second-best descriptor distance, which is comparable between operators, unlike the distance.
+    Therefore, every correspondence is represented by a better or equal one within the radius, no
+    two of those that are kept coincide, and chains of neighbours are not merged into one. Matches
+    with equal ratios are ordered by the name of the operator and by row, so the result does not
+    depend on the order of the operators. Matches without a ratio come last.
 
     Args:
-        matches: Per operator its features in image 1 and image 2 (N1, N2) and its matches (M).
-        merge_radius: Pixels; None concatenates without merging, as the paper does.
-        cost: Per operator, (M,) numbers that are comparable between operators, smaller for the
-            better match; they decide in place of the ratio.
+        matches: Per operator, its features in image 1 and image 2 (N1, N2) and its matches (M).
+        merge_radius: Radius in pixels; None concatenates without merging, as in the paper.
+        cost: Per operator, (M,) numbers that replace the ratio. They must be comparable between
+            operators and smaller for a better match.
 
     Returns:
-        The kept correspondences in the order of the operators and of their matches.
-        ``counts[operator].merged`` tells how many of its matches another one represents (their own
-        keypoints may: ORB finds one corner on several pyramid levels).
+        The correspondences in the order of the operators and of their matches.
+        ``counts[operator].merged`` is the number of its matches that another match represents. That
+        match may belong to the same operator: ORB finds one corner on several pyramid levels.
 
     Raises:
-        InputError: No or too many operators, matches outside the features, images of different
-            sizes, a bad radius.
+        InputError: There are no or too many operators, matches lie outside the features, the images
+            have different sizes, or the radius is invalid.
     """
     return represent(matches, find_leaders(matches, merge_radius=merge_radius, cost=cost))
 
@@ -58,7 +59,7 @@ def fuse(
 def represent(
     matches: Mapping[str, tuple[Features, Features, Matches]], leader: np.ndarray
 ) -> Correspondences:
-    """The correspondences that remain when every match is represented by its leader.
+    """Return the correspondences that remain when its leader represents every match.
 
     Args:
         matches: As for :func:`fuse`.
@@ -117,11 +118,11 @@ def find_leaders(
         matches, merge_radius, cost: As for :func:`fuse`.
 
     Returns:
-        (M,) int64 rows into the matches of all operators, in their order; a match that is kept has
-        its own row.
+        (M,) int64 rows of the concatenated matches of all operators; a match that is kept has its
+        own row.
 
     Raises:
-        InputError: As :func:`fuse`.
+        InputError: As for :func:`fuse`.
     """
     _check(matches, merge_radius)
     per_operator = list(matches.values())
@@ -144,7 +145,7 @@ def find_leaders(
 def _positions(
     per_operator: Sequence[tuple[Features, Features, Matches]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The (M, 2) float64 pixels of the matches of all operators in image 1 and image 2."""
+    """Return the (M, 2) float64 pixels of the matches of all operators in both images."""
     x1 = np.concatenate([f1.keypoints[m.index1] for f1, _, m in per_operator])
     x2 = np.concatenate([f2.keypoints[m.index2] for _, f2, m in per_operator])
     return x1.astype(np.float64), x2.astype(np.float64)
@@ -177,7 +178,7 @@ def _check(
 
 
 def _coincident(x1: np.ndarray, x2: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (u, v), u < v, of correspondences within the radius in both images."""
+    """Find the pairs (u, v), u < v, of correspondences within the radius in both images."""
     tree = cKDTree(np.hstack([x1, x2]))
     u, v = tree.query_pairs(radius, p=np.inf, output_type="ndarray").T
     near = np.maximum(((x1[u] - x1[v]) ** 2).sum(1), ((x2[u] - x2[v]) ** 2).sum(1)) <= radius**2
@@ -185,19 +186,19 @@ def _coincident(x1: np.ndarray, x2: np.ndarray, radius: float) -> tuple[np.ndarr
 
 
 def absorb(u: np.ndarray, v: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """The representative of every node when the best-ranked node absorbs its neighbours, then the
-    best of the rest, ...
+    """Find the representative of every node of a graph by greedy absorption.
+
+    The best-ranked node absorbs its neighbours, then the best-ranked of the rest, and so on.
 
     Args:
-        u, v: (P,) the ends of the edges.
-        rank: (N,) a permutation; 0 is best.
+        u, v: (P,) ends of the edges.
+        rank: (N,) permutation; 0 is best.
 
     Returns:
         (N,) the node itself if it leads, else its best-ranked leading neighbour.
     """
     better, worse = np.where(rank[u] < rank[v], (u, v), (v, u))
-    # All nodes that no undecided better neighbour stands before can be decided at once; few rounds
-    # are needed.
+    # All nodes without an undecided better neighbour are decided at once, so few rounds are needed.
     leads, undecided = np.zeros(len(rank), dtype=bool), np.ones(len(rank), dtype=bool)
     while undecided.any():
         waits = np.zeros_like(undecided)

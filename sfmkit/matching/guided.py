@@ -1,8 +1,8 @@
 """Homography-guided matching.
 
-Nearest neighbours over the whole image fail where details repeat or an operator is weak. Once the
-homography is roughly known, a feature has a few candidates instead of thousands, and the same
-descriptors find several times as many right matches.
+The search for nearest neighbours over the whole image fails where details repeat or an operator is
+weak. If the homography is roughly known, a feature has a few candidates instead of thousands, and
+the same descriptors give several times as many correct matches.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from ..errors import InputError
 from ..types import Features, Matches
 from .nearest import _check_comparable, _hamming_distance, _l2_distance
 
-_CANDIDATES = 8  # nearest features that are compared
-_CHUNK = 1 << 16  # candidates compared at a time
+_CANDIDATES = 8  # number of nearest features that are compared
+_CHUNK = 1 << 16  # number of candidates that are compared at a time
 
 
 def match_guided(
@@ -29,22 +29,22 @@ def match_guided(
 ) -> Matches:
     """Match mutual nearest neighbours among pairs that agree with a homography.
 
-    The pairs agree in position and size.
+    The pairs agree with H in position and in size.
 
     Args:
-        features1, features2: Of one operator.
-        H: (3, 3) ``x2 = H x1`` in pixels.
-        radius_px: Largest distance from the predicted position, in image 2.
+        features1, features2: Features of one operator in image 1 and image 2.
+        H: (3, 3) homography, ``x2 = H x1`` in pixels.
+        radius_px: Largest distance from the predicted position, pixels of image 2.
         max_distance: Largest descriptor distance.
-        max_octaves: Largest difference between a feature's size in image 2 and the one that H
-            predicts, in octaves; ignored where the operator gives all features the same size.
+        max_octaves: Largest difference in octaves between the size of a feature in image 2 and the
+            size that H predicts; ignored if the operator gives all features the same size.
 
     Returns:
         M matches in the order of ``index1``; ``ratio`` is NaN, because there is often only one
         candidate.
 
     Raises:
-        InputError: Features that cannot be compared, a singular H, a radius that is not positive.
+        InputError: The features cannot be compared, H is singular, or a radius is not positive.
     """
     _check_comparable(features1, features2)
     H = np.asarray(H, dtype=np.float64)
@@ -102,7 +102,7 @@ def match_guided(
 
 
 def _predict(H: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``H x`` (N, 2), and the magnification of H there (N,), NaN behind the camera."""
+    """Return ``H x`` (N, 2) and the magnification of H at x (N,), NaN behind the camera."""
     y = np.column_stack([x, np.ones(len(x))]) @ H.T
     depth = y[:, 2]
     ahead = depth * np.sign(np.median(depth)) > 0

@@ -16,7 +16,7 @@ from ..errors import InputError, OperatorError
 from ..features.weights import find_weights, how_to_get, load_weights, weights_digest
 from ..types import Features, Matches
 
-# operators whose names are those of kornia's configurations
+# the names of these operators are those of kornia's configurations
 TRAINED_FOR = ("aliked", "disk", "xfeat", "sift")
 
 
@@ -29,13 +29,13 @@ class LightGlueMatcher:
     summary = "attention network that matches both images jointly (Lindenberger et al. 2023)"
 
     def available(self) -> tuple[bool, str]:
-        """Whether any of the weights are on this machine, and if not, how to get some."""
+        """Return whether any of the weights are installed and, if not, how to get some."""
         if any(find_weights(f"lightglue-{name}") for name in TRAINED_FOR):
             return True, ""
         return False, how_to_get("lightglue-aliked")
 
     def provenance(self) -> str:
-        """What identifies the weights; part of cache keys and reports."""
+        """Return digests of the weights, which are part of cache keys and reports."""
         digests = (f"{name}:{weights_digest(f'lightglue-{name}')}" for name in TRAINED_FOR)
         return "weights " + ", ".join(digests)
 
@@ -51,15 +51,16 @@ class LightGlueMatcher:
 
         Args:
             features1, features2: Features of one operator of :data:`TRAINED_FOR`.
-            filter_threshold: Least matching score, 0 to 1.
-            device: Where the network runs; None for the CPU.
+            filter_threshold: Smallest matching score, 0 to 1.
+            device: Torch device on which the network runs; None for the CPU.
 
         Returns:
-            One match per matched keypoint; `distance` is one minus the matching score, `ratio` is
-            NaN, since LightGlue does not compare with the second-best neighbour.
+            One match per matched keypoint. `distance` is one minus the matching score; `ratio` is
+            NaN, because LightGlue does not compare with the second-best neighbour.
 
         Raises:
-            InputError: Features of another operator or of two operators, or the threshold.
+            InputError: The features are of an unsupported operator or of two operators, or the
+                threshold is out of range.
             OperatorError: The weights are missing.
         """
         operator = features1.operator
@@ -101,7 +102,8 @@ def _data(f: Features, device: str | torch.device | None) -> dict[str, Tensor]:
     if f.operator == "sift":
         data["scales"] = torch.from_numpy(f.scales)[None].to(to)
         data["oris"] = torch.from_numpy(f.angles)[None].to(to)
-        # trained on root-normalised descriptors (Arandjelovic and Zisserman, CVPR 2012)
+        # The network was trained on root-normalised descriptors (Arandjelovic and Zisserman, CVPR
+        # 2012).
         d = nn.functional.normalize(data["descriptors"], p=1, dim=-1).sqrt()
         data["descriptors"] = nn.functional.normalize(d, dim=-1)
     return data
@@ -112,11 +114,11 @@ def _model(operator: str, device: str, filter_threshold: float, digest: str) -> 
     from kornia.feature import LightGlue
 
     settings = dict(LightGlue.features[operator])
-    settings.pop("weights")  # else the constructor downloads them
+    settings.pop("weights")  # otherwise the constructor downloads them
     model = LightGlue(None, **{**settings, "filter_threshold": filter_threshold})  # type: ignore[arg-type]
     state = load_weights(f"lightglue-{operator}")
-    # Checkpoints name the layers as the original code does: matcher.self_attn.3.x is
-    # transformers.3.self_attn.x here.
+    # The layers of checkpoints have the names of the original code: matcher.self_attn.3.x is
+    # transformers.3.self_attn.x in kornia.
     renamed = {}
     for key, value in state.items():
         parts = key.removeprefix("matcher.").split(".")

@@ -1,10 +1,10 @@
-"""Find exact nearest neighbours between the descriptors of two images.
+"""Exact nearest neighbours between the descriptors of two images.
 
 Both norms reduce to a matrix product whose largest entry in a row belongs to the nearest neighbour:
 
 - L2: ``a·b - |a|²/2 - |b|²/2 = -|a - b|²/2``, with the two squared norms appended to the vectors
   as columns;
-- Hamming: with bits written as ±1, ``a·b = D - 2 h(a, b)`` for ``D`` bits of which ``h`` differ.
+- Hamming: ``a·b = D - 2 h(a, b)`` for ``D`` bits written as ±1, of which ``h`` differ.
 
 The product is computed in strips of a few rows. Each strip is reduced (largest entry per row and
 per column) while it is still in the cache; reading the full product back from memory would take
@@ -28,7 +28,7 @@ from ..types import Features, Matches
 
 # columns per block: the maximum of every block is found first, then the argmax within one block
 _BLOCK = 128
-# entries of the product computed at a time: 5 MiB stay in a CPU's cache
+# number of entries of the product that are computed at a time: 5 MiB stay in a CPU's cache
 _STRIP = {"cpu": 5 << 18, "cuda": 1 << 26}
 _PART = 1024  # minimum number of rows that one core searches at a time
 _MANY = 64  # maximum number of candidates within rounding of the nearest that are compared exactly
@@ -47,10 +47,10 @@ def match(
 
     The search is exact, and the norm is that of the features. If both have the sign of the
     Laplacian, only features of equal sign are compared (Bay et al. 2008, section 4.3), and the
-    second-nearest neighbour has that sign too. Of equally near candidates the lowest row is chosen,
-    in both directions, so the result is deterministic. Comparisons within the rounding of float32
-    are repeated in float64. On CUDA, torch's float32 matrix products must not be set to a lower
-    precision (TF32) than torch's own default.
+    second-nearest neighbour has that sign too. Among equally near candidates, the lowest row is
+    chosen in both directions, so the result is deterministic. Comparisons within the rounding of
+    float32 are repeated in float64. On CUDA, torch's float32 matrix products must not be set to a
+    lower precision (TF32) than torch's own default.
 
     Args:
         features1, features2: N1 and N2 features of one operator in image 1 and image 2.
@@ -119,7 +119,10 @@ def _check_comparable(features1: Features, features2: Features) -> None:
 def _comparable_rows(
     features1: Features, features2: Features
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Group the rows that may match: by sign of the Laplacian if both have it, else one group."""
+    """Return groups of rows that may match.
+
+    There is one group per sign of the Laplacian if both have it, and a single group otherwise.
+    """
     if features1.laplacian is None or features2.laplacian is None:
         return [(np.arange(len(features1)), np.arange(len(features2)))]
     signs = np.union1d(features1.laplacian, features2.laplacian)
@@ -179,8 +182,8 @@ def _l2_vectors(a: np.ndarray, b: np.ndarray, device: torch.device) -> tuple[Ten
 
     Also returns a bound of the rounding error of a comparison of two such products.
     """
-    # Distances do not change when both sets are shifted, and shorter vectors lose fewer digits. The
-    # shift is a whole number, so that integer descriptors (SIFT) stay integers, whose products are
+    # Distances do not change if both sets are shifted, and shorter vectors lose fewer digits. The
+    # shift is a whole number, so integer descriptors (SIFT) stay integers, whose products are
     # exact.
     centre = np.round(b.mean(axis=0, dtype=np.float64))
     a, b = (np.subtract(x, centre, dtype=np.float32) for x in (a, b))
@@ -212,9 +215,9 @@ def _hamming_vectors(
 def _fastest_sign_dtype() -> torch.dtype:
     """Choose the dtype in which this processor multiplies matrices of ±1 faster.
 
-    int8 and float32 are both exact, so the choice never changes a result. It is measured, because
-    torch's int8 product is several times faster with VNNI instructions and 20 times slower without
-    them (torch 2.15, AVX2), and torch has no public query for them.
+    int8 and float32 are both exact, so the choice never changes a result. The speed is measured,
+    because torch's int8 product is several times faster with VNNI instructions and 20 times slower
+    without them (torch 2.15, AVX2), and torch has no public query for them.
     """
     a, b = torch.ones((32, 256), dtype=torch.int8), torch.ones((2048, 256), dtype=torch.int8)
     seconds = {}
@@ -232,7 +235,7 @@ def _fastest_sign_dtype() -> torch.dtype:
 
 
 def _has_onednn(instructions: str) -> bool:
-    """Return whether torch has oneDNN and the processor these vector instructions."""
+    """Return whether torch has oneDNN and the processor has these vector instructions."""
     return (
         torch.backends.mkldnn.is_available()
         and torch.backends.cpu.get_cpu_capability().startswith(instructions)
@@ -246,11 +249,12 @@ Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def _nearest(
     a: Tensor, b: Tensor, tolerance: float, mutual: bool, distance: Distance
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the rows j and k of `b` with the two highest scores ``a @ b.T`` of every row i of `a`.
+    """Find the rows j and k of `b` with the two highest scores for every row i of `a`.
 
-    With `mutual`, only the rows i that are best in column j. This is decided from the values of
-    the column's two largest entries, since finding their positions takes several times as long.
-    Scores that differ by at most `tolerance` are searched again and compared by `distance`.
+    The scores are ``a @ b.T``. With `mutual`, only the rows i that are best in column j are
+    returned. This is decided from the values of the two largest entries of the column, because
+    finding their positions takes several times as long. Scores that differ by at most `tolerance`
+    are searched again and compared by `distance`.
     """
     n2 = len(b)
     padded = torch.cat([b, b.new_zeros(-n2 % _BLOCK, b.shape[1])])
@@ -291,9 +295,9 @@ class _Found:
 
     Attributes:
         best, second: (R,) columns of the highest and second-highest score of every row.
-        value, second_value: (R,) those scores.
-        rival: (R,) the highest score of the other rows of the same strip in the column `best`.
-        column_best: (2, width) the largest and second-largest of the strips' highest scores in
+        value, second_value: (R,) these two scores.
+        rival: (R,) highest score of the other rows of the same strip in the column `best`.
+        column_best: (2, width) largest and second-largest of the highest scores of the strips in
             every column.
     """
 
@@ -306,9 +310,10 @@ class _Found:
 
 
 def _search(a: Tensor, b: Tensor, n2: int, mutual: bool) -> _Found:
-    """Find the two highest scores in every row of ``a @ b[:n2].T``, and per column if `mutual`.
+    """Find the two highest scores in every row of ``a @ b[:n2].T``.
 
-    The product is computed in strips.
+    With `mutual`, the highest scores of every column are found too. The product is computed in
+    strips.
     """
     strip = _strip(a, b)
     out = torch.empty(
@@ -338,9 +343,9 @@ def _search_exactly(
 ) -> tuple[Tensor, Tensor]:
     """Find the rows (R,) of `b` nearest and second-nearest to every row of `a` by `distance`.
 
-    Of equally near rows the lowest is chosen. Only rows whose score is within `tolerance` of the
-    highest are compared. If these are many, nearly all descriptors are equal, and they count as
-    equally near. The second is -1 if it is not among the compared rows.
+    Among equally near rows, the lowest is chosen. Only rows whose score is within `tolerance` of
+    the highest are compared. If there are many of them, nearly all descriptors are equal, and the
+    rows are regarded as equally near. The second row is -1 if it is not among the compared rows.
     """
     strip, dtype = _strip(a, b), torch.int32 if a.dtype == torch.int8 else a.dtype
     nearest, second = (a.new_full((len(a),), -1, dtype=torch.int64) for _ in range(2))
@@ -366,21 +371,24 @@ def _strip(a: Tensor, b: Tensor) -> int:
 
 
 def _product(a: Tensor, b: Tensor, out: Tensor) -> Tensor:
-    """Compute ``a @ b.T``, in `out` or, if the fastest function has no `out`, in a new tensor."""
+    """Compute ``a @ b.T``.
+
+    The result is `out` or, if the fastest function has no such parameter, a new tensor.
+    """
     if a.dtype == torch.int8:
         return torch._int_mm(a, b.t(), out=out)
     if a.is_cpu and _has_onednn("AVX512"):
-        # torch.mm calls MKL, which does not use AVX-512 on processors of other makers and then
-        # takes twice as long.
+        # torch.mm calls MKL, which does not use AVX-512 on processors of other manufacturers and
+        # then takes twice as long.
         return torch.ops.mkldnn._linear_pointwise(a, b, None, "none", [], "")
     return torch.mm(a, b.t(), out=out)
 
 
 def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Find the two largest entries of every row of (R, blocks, block): columns, then values.
+    """Find the two largest entries of every row of (R, blocks, block).
 
-    Both lie in the two blocks with the largest maxima, and only those are searched. Of equal
-    entries the first is chosen.
+    Both lie in the two blocks with the largest maxima, and only these are searched. Among equal
+    entries, the first is chosen. Returns the two columns, then the two values.
     """
     r, _, size = scores.shape
     lowest = _lowest(scores.dtype)
@@ -389,7 +397,7 @@ def _two_largest(scores: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     block2 = maxima.scatter(1, block1, lowest).argmax(1, keepdim=True)
     block = torch.cat([block1, block2], 1)
     finalists = scores[torch.arange(r, device=scores.device)[:, None], block]
-    # With a single block both are the same: its copy must not become the second.
+    # With a single block, both are the same, and its copy must not become the second.
     finalists[:, 1].masked_fill_(block1 == block2, lowest)
     finalists = finalists.flatten(1)
     place1 = finalists.argmax(1, keepdim=True)

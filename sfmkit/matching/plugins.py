@@ -1,4 +1,4 @@
-"""The extension point of matchers: contract, registry and the choice of a matcher per operator."""
+"""The extension point for matchers: contract, registry, and choice per operator."""
 
 from __future__ import annotations
 
@@ -30,20 +30,21 @@ class Matcher(Protocol):
     """
 
     def __call__(self, features1: Features, features2: Features, /, **options: Any) -> Matches:
-        """Match.
+        """Match the features of two images.
 
         Args:
             features1, features2: N1 and N2 features of one operator in image 1 and image 2.
             options: The matcher's own options.
 
         Returns:
-            M matches: rows of `features1` and `features2`, each pair at most once; the descriptor
-            distance or any other cost, smaller for a better match; the ratio of the best to the
-            second-best distance, NaN where the matcher has none.
+            M matches. The indices are rows of `features1` and `features2`, each pair at most once.
+            The distance is that of the descriptors or any other cost that is smaller for a better
+            match. The ratio is that of the best to the second-best distance, or NaN if the matcher
+            has none.
         """
 
 
-OTHER_OPERATORS = "*"  # in operator -> matcher: every operator that is not named
+OTHER_OPERATORS = "*"  # key for all operators that a mapping operator -> matcher does not name
 MATCHER_PLUGINS: Registry[Callable[..., Matches]] = Registry("matcher", "sfmkit.matchers")
 MATCHER_PLUGINS.register("nearest", match)
 MATCHER_PLUGINS.register("lightglue", lightglue)
@@ -53,8 +54,8 @@ def register_matcher(name: str, matcher: F) -> F:
     """Register a matcher under a name, for this process.
 
     Args:
-        name: What the matcher is called in ``matchers=``, ``--matcher`` and reports.
-        matcher: A callable that obeys the contract of :class:`Matcher`.
+        name: Name of the matcher in ``matchers=``, ``--matcher`` and reports.
+        matcher: A callable that fulfils the contract of :class:`Matcher`.
 
     Returns:
         `matcher`.
@@ -67,14 +68,14 @@ def register_matcher(name: str, matcher: F) -> F:
 
 
 def matcher_of(operator: str, options: MatchOptions) -> str:
-    """The name of the matcher that the options choose for an operator."""
+    """Return the name of the matcher that the options select for an operator."""
     return options.matchers.get(operator, options.matcher)
 
 
 def canonical_matchers(
     matchers: str | Mapping[str, str] | None,
 ) -> str | Mapping[str, str] | None:
-    """The same choice of matchers with the canonical names of the operators.
+    """Replace the names of operators in a choice of matchers by their canonical names.
 
     Args:
         matchers: As for :func:`choose_matchers`; the key ``"*"`` is kept.
@@ -93,11 +94,12 @@ def canonical_matchers(
 def choose_matchers(
     options: MatchOptions, matchers: str | Mapping[str, str] | None
 ) -> MatchOptions:
-    """The options with other matchers.
+    """Return the options with other matchers.
 
     Args:
-        matchers: The name of a matcher for all operators; or operator -> matcher for some, with
-            ``"*"`` for all others; None changes nothing.
+        options: Options of the matching.
+        matchers: The name of a matcher for all operators, or a mapping operator -> matcher for
+            some, with the key ``"*"`` for all others; None keeps those of the options.
     """
     if matchers is None:
         return options
@@ -119,15 +121,16 @@ def run_matcher(
     operator: str | None = None,
     device: Any = None,
 ) -> Matches:
-    """Match by the matcher that the options choose, and check that its result obeys the contract.
+    """Run the matcher that the options select, and check that its result fulfils the contract.
 
     Args:
         features1, features2: N1 and N2 features of one operator.
-        operator: The name by which `options` choose; ``features1.operator`` unless given.
-        device: Passed to matchers that take it.
+        options: Options of the matching.
+        operator: Name of the operator in the options; ``features1.operator`` by default.
+        device: Torch device, for matchers with such a parameter.
 
     Raises:
-        InputError: There is no such matcher, it failed, or its result is wrong.
+        InputError: There is no such matcher, it fails, or its result is invalid.
     """
     options = options or MatchOptions()
     operator = features1.operator if operator is None else operator
@@ -148,7 +151,7 @@ def run_matcher(
 
 
 def _fault(found: Any, n1: int, n2: int) -> str:
-    """What is wrong with the result of a matcher; empty where nothing is."""
+    """Describe what is wrong with the result of a matcher; empty if it is valid."""
     if not isinstance(found, Matches):
         return "it must be Matches"
     for field, n in (("index1", n1), ("index2", n2)):
@@ -163,14 +166,14 @@ def _fault(found: Any, n1: int, n2: int) -> str:
 
 @dataclass(frozen=True)
 class MatcherInfo:
-    """One line of the table of matchers.
+    """A row of the table of matchers.
 
     Attributes:
-        name: As in ``matchers=`` and ``--matcher``.
+        name: Name in ``matchers=`` and ``--matcher``.
         operators: The operators whose features it matches, in words.
-        available, reason: Whether it can run here, and if not, what to install.
-        licence: Of code and weights; for a plug-in, what identifies its code.
-        summary: What it is.
+        available, reason: Whether it can run here and, if not, what to install.
+        licence: Licence of the code and weights; for a plug-in, the provenance of its code.
+        summary: Description in one line.
     """
 
     name: str
@@ -182,7 +185,7 @@ class MatcherInfo:
 
 
 def list_matchers() -> list[MatcherInfo]:
-    """Every matcher that has a name here, for a table."""
+    """List all registered and installed matchers."""
     return [_info(name) for name in MATCHER_PLUGINS]
 
 
