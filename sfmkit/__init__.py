@@ -1,5 +1,4 @@
-"""sfmkit: two-view structure from motion that fuses several feature detectors and explains
-itself."""
+"""Two-view structure from motion with several feature detectors."""
 
 from __future__ import annotations
 
@@ -11,8 +10,8 @@ from ._version import __version__
 
 use_one_thread_after_fork()
 
-# name -> module that defines it. Imported on first use: `import sfmkit` costs milliseconds, torch
-# over a second.
+# Name -> module that defines it. The modules are imported on first use: `import sfmkit` takes
+# milliseconds, torch more than a second.
 _PUBLIC = {
     "Camera": "types",
     "Features": "types",
@@ -58,8 +57,6 @@ if TYPE_CHECKING:
 def __getattr__(name: str):
     if name in _PUBLIC:
         value = getattr(import_module(f".{_PUBLIC[name]}", __name__), name)
-        # Not cached for `match`-like names that are modules too: the module attribute is set by the
-        # import system.
         globals()[name] = value
         return value
     raise AttributeError(f"module 'sfmkit' has no attribute '{name}'")

@@ -1,4 +1,4 @@
-"""What can go wrong, as types. Every message says what to do about it."""
+"""Exceptions of sfmkit. Every message states how to correct the problem."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from difflib import get_close_matches
 
 
 class SfmError(Exception):
-    """Base of every error that sfmkit raises on purpose."""
+    """Base class of all errors that sfmkit raises."""
 
 
 class InputError(SfmError, ValueError):
-    """An argument, a file or an array is not what the call needs."""
+    """An argument, a file or an array is invalid."""
 
 
 class ImageError(InputError):
-    """An image file is missing, unreadable or of an unusable kind."""
+    """An image file is missing, unreadable or of an unsupported kind."""
 
 
 class CameraError(InputError):
-    """Intrinsics that no camera can have, or none to be found."""
+    """Intrinsics are impossible or missing."""
 
 
 class OperatorError(InputError):
-    """An operator's name is unknown, or the operator is not available here."""
+    """An operator is unknown, not available, or fails."""
 
     @classmethod
     def unknown(cls, name: str, known: Iterable[str]) -> OperatorError:
@@ -36,15 +36,14 @@ class OperatorError(InputError):
 
 
 class OutputError(SfmError):
-    """A result could not be written; nothing half-written is left behind."""
+    """A result could not be written; no incomplete output is left."""
 
 
 class DegenerateGeometryError(SfmError):
-    """The correspondences do not determine the model asked for.
+    """The correspondences do not determine the requested model.
 
     Attributes:
-        counts: What was there and what would have been needed, e.g.
-            ``{"matches": 4, "needed": 5}``.
+        counts: Numbers that were available and needed, such as ``{"matches": 4, "needed": 5}``.
     """
 
     def __init__(self, message: str, **counts: int):

@@ -1,4 +1,4 @@
-"""What is measured on a pair with a known homography."""
+"""Error measures for homographies, features and matches."""
 
 from __future__ import annotations
 
@@ -25,20 +25,25 @@ def _transfer(H: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def homography_rmse(H: np.ndarray, H_true: np.ndarray) -> float:
-    """Element-wise root mean square difference of two homographies, both scaled to ``H[2, 2] = 1``.
+    """Return the root mean square difference of the elements of two homographies.
 
-    Dippold & Tsai's measure. It has no unit: seven elements are pure numbers or per pixel, and the
-    two translations, in pixels, outweigh them all. (The paper gives it in metres.)
+    Both are scaled to ``H[2, 2] = 1``. This is the measure of Dippold & Tsai. It has no consistent
+    unit: the elements are pure numbers, per pixel, or pixels, and the two translations in pixels
+    dominate. (The paper states it in metres.)
     """
     A, B = _homography(H, "H"), _homography(H_true, "H_true")
     return float(np.sqrt(np.mean((A / A[2, 2] - B / B[2, 2]) ** 2)))
 
 
 def corner_error(H: np.ndarray, H_true: np.ndarray, size_wh: tuple[int, int]) -> float:
-    """Mean distance, in pixels of image 2, between where H and the truth put the four corners of
-    image 1.
+    """Return the mean distance of the four corners of image 1 mapped by H and by the truth.
 
-    Infinite where H sends a corner to infinity or behind the camera.
+    The distance is in pixels of image 2. It is infinite if H maps a corner to infinity or behind
+    the camera.
+
+    Args:
+        H, H_true: (3, 3) homographies, ``x2 = H x1``.
+        size_wh: Width and height of image 1 in pixels.
     """
     w, h = size_wh
     corners = np.array([[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]], dtype=np.float64)
@@ -50,14 +55,15 @@ def corner_error(H: np.ndarray, H_true: np.ndarray, size_wh: tuple[int, int]) ->
 
 
 def check_point_error(H: np.ndarray, points: np.ndarray) -> float:
-    """Mean distance in pixels of image 2 between annotated points and where H maps their partners.
+    """Return the mean distance of annotated points of image 2 from their partners mapped by H.
 
     Args:
-        H: (3, 3), ``x2 = H x1``.
-        points: (N, 4) rows of x1, y1, x2, y2.
+        H: (3, 3) homography, ``x2 = H x1``.
+        points: (N, 4) rows of x1, y1, x2, y2 in pixels.
 
     Returns:
-        Infinite where H sends a point to infinity or behind the camera.
+        The distance in pixels of image 2; infinite if H maps a point to infinity or behind the
+        camera.
 
     Raises:
         InputError: H is not a finite matrix with ``H[2, 2] != 0``, or there are no points.
@@ -75,10 +81,19 @@ def check_point_error(H: np.ndarray, points: np.ndarray) -> float:
 def error_auc(
     errors: Sequence[float], thresholds: Sequence[float] = (1.0, 3.0, 5.0)
 ) -> list[float]:
-    """Area under the curve "share of pairs with an error of at most e", for e from 0 to each
-    threshold, in [0, 1].
+    """Return the area under the recall curve up to each threshold, divided by the threshold.
 
-    The curve is the step function; pairs without an estimate have an infinite error.
+    The curve is the step function "share of pairs with an error of at most e".
+
+    Args:
+        errors: One error per pair; infinity for a pair without an estimate.
+        thresholds: Positive thresholds in the unit of the errors.
+
+    Returns:
+        One area per threshold, in [0, 1].
+
+    Raises:
+        InputError: There are no errors, or one is NaN.
     """
     e = np.asarray(errors, dtype=np.float64)
     if not len(e) or np.isnan(e).any():
@@ -89,14 +104,14 @@ def error_auc(
 
 
 def trapezoidal_auc(errors: Sequence[float], thresholds: Sequence[float]) -> list[float]:
-    """Area under the recall curve that joins the points (error of the k-th best pair, k / N).
+    """Return the area under the piecewise linear recall curve up to each threshold.
 
-    The curve starts at (0, 0) and is constant after the last error below the threshold. It is
-    linear between the points, so the area is larger than that of :func:`error_auc`.
+    The curve joins (0, 0) and the points (error of the k-th best pair, k / N), and is constant
+    after the last error below the threshold. The area is larger than that of :func:`error_auc`.
 
     Args:
-        errors: One per pair; infinity for a pair without an estimate.
-        thresholds: Positive, in the unit of the errors.
+        errors: One error per pair; infinity for a pair without an estimate.
+        thresholds: Positive thresholds in the unit of the errors.
 
     Returns:
         The area from 0 to each threshold, divided by the threshold, in [0, 1].
@@ -123,14 +138,19 @@ def trapezoidal_auc(errors: Sequence[float], thresholds: Sequence[float]) -> lis
 def repeatability(
     features1: Features, features2: Features, H_true: np.ndarray, radius_px: float = 3.0
 ) -> tuple[float, int]:
-    """Share of the keypoints in the common part of both images that lie within `radius_px` of one
-    in the other.
+    """Return the repeatability of the keypoints in the common part of two images.
 
-    Keypoints are paired one to one, mutual nearest neighbours in image 2; size and shape are not
-    looked at.
+    Keypoints form a pair if they are mutual nearest neighbours in image 2 and at most `radius_px`
+    apart. Their sizes and shapes are ignored.
+
+    Args:
+        features1, features2: Features of both images.
+        H_true: (3, 3) true homography, ``x2 = H x1``.
+        radius_px: Largest distance of a pair, pixels of image 2.
 
     Returns:
-        Pairs over the smaller number of keypoints in the common part, and the number of pairs.
+        The number of pairs divided by the smaller number of keypoints in the common part, and the
+        number of pairs.
 
     Source: Mikolajczyk et al., IJCV 2005, section 5, with points in place of ellipses.
     """
@@ -157,7 +177,7 @@ def _inside(x: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
 def match_errors(
     features1: Features, features2: Features, matches: Matches, H_true: np.ndarray
 ) -> np.ndarray:
-    """(M,) distance of each match from its true place, pixels of image 2."""
+    """Return the distance of each match from its true position, (M,) pixels of image 2."""
     H = _homography(H_true, "H_true")
     x1, x2 = features1.keypoints[matches.index1], features2.keypoints[matches.index2]
     return np.linalg.norm(_transfer(H / H[2, 2], x1) - x2, axis=1)
@@ -166,9 +186,9 @@ def match_errors(
 def mean_matching_accuracy(
     errors: np.ndarray, thresholds: Sequence[float] = tuple(range(1, 11))
 ) -> list[float]:
-    """Share of the matches within each threshold, pixels; zeros where there is no match.
+    """Return the share of the matches within each threshold in pixels; zeros without matches.
 
-    Source: Dusmanu et al., D2-Net, CVPR 2019, section 5.1 (the mean over pairs is the caller's).
+    Source: Dusmanu et al., D2-Net, CVPR 2019, section 5.1 (which then averages over the pairs).
     """
     e = np.asarray(errors, dtype=np.float64)
     return [float((e <= t).mean()) if len(e) else 0.0 for t in thresholds]
@@ -181,7 +201,9 @@ def matching_score(
     H_true: np.ndarray,
     radius_px: float = 3.0,
 ) -> float:
-    """Right matches over the smaller number of keypoints in the common part of both images.
+    """Return the number of correct matches divided by the smaller number of keypoints.
+
+    Only keypoints in the common part of both images are counted.
 
     Source: Mikolajczyk et al., IJCV 2005, section 5.
     """

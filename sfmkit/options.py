@@ -1,12 +1,13 @@
-"""How each stage is run: one frozen dataclass per stage.
+"""Options of the stages: one frozen dataclass per stage.
 
-The defaults are our best values; :data:`PAPER` has the values of the paper (Dippold & Tsai,
-*Two-View Structure-from-Motion with Multiple Feature Detector Operators*). The paper does not give
-all of them; ``PAPER`` is the reading whose counts come closest to its Table 6 (docs/results.md).
+The defaults are the best values known. :data:`PAPER` contains the values of the paper (Dippold &
+Tsai, *Two-View Structure-from-Motion with Multiple Feature Detector Operators*). The paper does not
+state all of them; ``PAPER`` is the interpretation whose counts come closest to Table 6 of the paper
+(docs/results.md).
 
-:data:`DENSE` finds as many points as the photographs allow at the precision of the default: it
-searches keypoints of half the contrast, keeps twice as many, and adds a ratio test, because more
-keypoints include more that resemble each other.
+:data:`DENSE` finds as many points as the photographs permit at the precision of the default. It
+detects keypoints of half the contrast, keeps twice as many, and adds a ratio test, because a larger
+set of keypoints contains more that resemble each other.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ def _check_positive(name: str, value: float) -> None:
 
 @dataclass(frozen=True)
 class DetectOptions:
-    """Stage 1, detection and description.
+    """Options of stage 1, detection and description.
 
     Attributes:
-        preset: Which settings of an operator are used where `overrides` does not say: ours, the
-            paper's, or ours with half the least contrast.
-        budget: At most this many keypoints per operator and image, spread evenly; None for all.
-            Matching costs the product of both images' counts: FAST alone finds 180,000 corners in
-            a photograph of roofs.
-        max_size: Longest side in pixels at which features are searched; None for full size.
-        overrides: Per operator, options that replace the preset's, e.g.
+        preset: Settings of the operators: ``default``, ``paper`` (those of the paper) or ``dense``
+            (the default with half the minimum contrast).
+        budget: Maximum number of keypoints per operator and image, spread evenly; None for all. The
+            time of matching is proportional to the product of the numbers in both images: FAST
+            alone finds 180,000 corners in a photograph of roofs.
+        max_size: Longest side in pixels at which features are detected; None for the full size.
+        overrides: Per operator, options that replace those of the preset, such as
             ``{"surf": {"hessian_threshold": 100}}``.
     """
 
@@ -50,13 +51,13 @@ class DetectOptions:
 
 @dataclass(frozen=True)
 class MatchOptions:
-    """Stage 2, matching.
+    """Options of stage 2, matching.
 
     Attributes:
         mutual: Keep only matches that are nearest neighbours in both directions.
         max_ratio: Largest ratio of the best to the second-best distance; None for no ratio test.
         max_distance: Largest descriptor distance; None for no limit.
-        matcher: Name or import path of the matcher of all operators.
+        matcher: Name or import path of the matcher for all operators.
         matchers: Per operator, the matcher that replaces `matcher`.
         overrides: Per operator, options of its matcher.
     """
@@ -71,11 +72,11 @@ class MatchOptions:
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """Stage 2, fusion.
+    """Options of stage 2, fusion.
 
     Attributes:
-        merge_radius: Coincident correspondences within this many pixels in both images become one;
-            None keeps all.
+        merge_radius: Correspondences that coincide to within this many pixels in both images are
+            merged into one; None keeps all.
     """
 
     merge_radius: float | None = 1.0
@@ -83,18 +84,19 @@ class FuseOptions:
 
 @dataclass(frozen=True)
 class EstimateOptions:
-    """Stage 3, robust estimation of the epipolar geometry.
+    """Options of stage 3, robust estimation of the epipolar geometry.
 
     Attributes:
         model: ``essential`` (calibrated, five points) or ``fundamental`` (the paper: F, then
             ``E = K2^T F K1``).
         backend: Name or import path of the estimator; ``torch``, ``opencv``, ``poselib`` and
             ``pycolmap`` are built in (the last two need the extra ``peers``).
-        method: A method of the estimator, None for its best.
-        threshold_px: Largest distance of an inlier to the epipolar line, pixels.
-        confidence: Probability of having drawn at least one sample of inliers only.
-        max_iterations: At most this many samples.
-        refine: Nonlinear refinement of the pose, and then of pose and points, on the inliers.
+        method: A method of the estimator; None for its best one.
+        threshold_px: Largest distance of an inlier from the epipolar geometry, pixels.
+        confidence: Probability that at least one sample contains only inliers.
+        max_iterations: Maximum number of samples.
+        refine: Whether to refine the pose, and then the pose and the points together, on the
+            inliers.
         overrides: The estimator's own options: keywords that are not part of the contract of
             :class:`sfmkit.estimation.Estimator`.
     """
@@ -124,12 +126,13 @@ class EstimateOptions:
 
 @dataclass(frozen=True)
 class PlanarOptions:
-    """Stage 3, robust estimation of a homography (:func:`sfmkit.register`).
+    """Options of stage 3, robust estimation of a homography (:func:`sfmkit.register`).
 
     Attributes:
-        method: ``prefixes`` (ours), or ``ransac``: OpenCV's on all matches, as in the paper.
-        threshold_px: Sampson distance beyond which a match does not count, pixels.
-        guided: Match again near the predicted positions, and fit to these matches.
+        method: ``prefixes`` (that of sfmkit), or ``ransac``: OpenCV's RANSAC on all matches, as in
+            the paper.
+        threshold_px: Sampson distance in pixels beyond which a match has no weight.
+        guided: Whether to match again near the predicted positions and fit H to these matches.
     """
 
     method: Literal["prefixes", "ransac"] = "prefixes"
@@ -144,13 +147,13 @@ class PlanarOptions:
 
 @dataclass(frozen=True)
 class TriangulateOptions:
-    """Stage 3, triangulation.
+    """Options of stage 3, triangulation.
 
     Attributes:
         method: ``optimal`` (Lindstrom), ``dlt`` or ``midpoint``.
-        max_reprojection_px: Points with a larger root mean square reprojection error are left out;
-            None keeps all.
-        min_parallax_deg: Points whose rays meet at a smaller angle are left out.
+        max_reprojection_px: Largest root mean square reprojection error of a point in pixels; None
+            keeps all points.
+        min_parallax_deg: Smallest angle between the rays of a point in degrees.
     """
 
     method: Literal["optimal", "dlt", "midpoint"] = "optimal"
@@ -160,13 +163,13 @@ class TriangulateOptions:
 
 @dataclass(frozen=True)
 class Options:
-    """All stages together.
+    """Options of all stages.
 
     Attributes:
-        name: Of the preset that the options start from.
-        detect, match, fuse, estimate, planar, triangulate: The stages.
-        device: Torch device of detection, matching and the robust search, for those operators,
-            matchers and estimators that take one.
+        name: Name of the preset from which the options start.
+        detect, match, fuse, estimate, planar, triangulate: Options of the stages.
+        device: Torch device for detection, matching and the robust search, passed to operators,
+            matchers and estimators with such a parameter.
     """
 
     name: str = "default"
@@ -187,12 +190,12 @@ def adjust_preset(
     budget: int | None = None,
     max_size: int | None = None,
 ) -> Options:
-    """The options of a preset with the changes that commands and benchmarks offer.
+    """Return the options of a preset with some values replaced.
 
     Args:
         preset: A key of :data:`PRESETS`.
-        backend, threshold_px: Of :class:`EstimateOptions`; None keeps the preset's.
-        budget, max_size: Of :class:`DetectOptions`; None keeps the preset's.
+        backend, threshold_px: Values of :class:`EstimateOptions`; None keeps those of the preset.
+        budget, max_size: Values of :class:`DetectOptions`; None keeps those of the preset.
 
     Raises:
         InputError: There is no such preset, or a value is out of range.
@@ -213,10 +216,10 @@ def adjust_preset(
 
 
 def as_plain(options: Any) -> Any:
-    """Options as nested dicts of plain values, ready for JSON.
+    """Convert options to nested dictionaries of plain values for JSON.
 
     Args:
-        options: :class:`Options`, the dataclass of one stage, or a value in one.
+        options: :class:`Options`, the dataclass of one stage, or one of its values.
     """
     if is_dataclass(options) and not isinstance(options, type):
         return {f.name: as_plain(getattr(options, f.name)) for f in fields(options)}

@@ -1,1 +1,1 @@
-"""Helpers without knowledge of the field: threads, atomic writing, versions, progress."""
+"""General helpers: threads, atomic writing, versions, progress."""

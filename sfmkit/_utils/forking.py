@@ -1,8 +1,9 @@
-"""Forked children compute on one thread.
+"""Thread count of forked child processes.
 
-The threads of torch and of OpenMP do not survive ``fork``, and a child that uses them
-hangs (Linux, torch 2.15: a matrix product after one in the parent). torch may be imported after
-sfmkit or not at all, so it is looked up when the process forks.
+The threads of torch and of OpenMP do not survive ``fork``, and a child that uses them hangs (Linux,
+torch 2.15: a matrix product in the child after one in the parent). Forked children therefore
+compute on one thread. torch may be imported after sfmkit or not at all, so it is looked up when the
+process forks.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ __all__ = ["use_one_thread_after_fork"]
 
 
 def use_one_thread_after_fork() -> None:
-    """Have every forked child of this process use one thread of torch."""
+    """Make every forked child of this process use one torch thread."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=_use_one_thread)
 

@@ -1,4 +1,4 @@
-"""Names of files as text that every format can hold."""
+"""File names as text that every output format can represent."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ __all__ = ["label"]
 
 
 def label(name: str) -> str:
-    """Replace what cannot be encoded in UTF-8, as in a name that an old ZIP file brought along.
+    """Replace the characters of a file name that cannot be encoded in UTF-8.
 
-    For labels only: the result may not be the name of a file.
+    Such names come from old ZIP files, for example. The result is a label and may not be the name
+    of an existing file.
     """
     return os.fsencode(name).decode(errors="replace")

@@ -1,4 +1,4 @@
-"""What a measurement was made on."""
+"""Description of the machine on which a measurement was made."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 
 
 def describe_machine() -> dict[str, str]:
-    """Processor, cores, memory, system and load, in words; what the system does not tell is left
-    out."""
+    """Describe the processor, cores, memory, system and load.
+
+    Entries that the system does not provide are left out.
+    """
     found = {"processor": processor(), "cores": str(os.cpu_count() or 1)}
     with suppress(ValueError, OSError, AttributeError):
         found["memory"] = (
@@ -25,7 +27,7 @@ def describe_machine() -> dict[str, str]:
 
 
 def processor() -> str:
-    """The processor's name."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Text in Markdown tables."""
+"""Rows of Markdown tables."""
 
 from __future__ import annotations
 
@@ -16,5 +16,5 @@ def escape(text: str) -> str:
 
 
 def table_row(cells: Iterable[str]) -> str:
-    """One line of a table, with the cells escaped."""
+    """Format a row of a table, with escaped cells."""
     return "| " + " | ".join(escape(cell) for cell in cells) + " |"

@@ -1,4 +1,4 @@
-"""Warnings of sfmkit that a caller can collect, per thread, without changing Python's filters."""
+"""Warnings that a caller can collect per thread, without changing Python's filters."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _collecting: ContextVar[list[str] | None] = ContextVar("sfmkit_notices", default
 def warn(message: str, category: type[Warning] = UserWarning, stacklevel: int = 1) -> None:
     """Add a message to the list of the innermost :func:`collected`, or issue a warning.
 
-    ``warnings.catch_warnings`` changes the filters of the whole process: it swallows the warnings
-    of other libraries and of other threads. This does neither.
+    ``warnings.catch_warnings`` changes the filters of the whole process, so it suppresses the
+    warnings of other libraries and of other threads. This function does not.
 
     Args:
-        message: What the user should read.
+        message: Text of the warning.
         category, stacklevel: As for :func:`warnings.warn`.
     """
     messages = _collecting.get()
@@ -29,7 +29,7 @@ def warn(message: str, category: type[Warning] = UserWarning, stacklevel: int = 
 
 @contextmanager
 def collected() -> Iterator[list[str]]:
-    """Collect the messages of :func:`warn` in this thread, each once, in place of warnings."""
+    """Collect the messages of :func:`warn` in this thread, each once, instead of warning."""
     messages: list[str] = []
     token = _collecting.set(messages)
     try:

@@ -1,4 +1,4 @@
-"""Independent pieces of work on all cores: threads, and processes that end with this one."""
+"""Parallel execution of independent tasks in threads and in child processes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Result = TypeVar("Result")
 
 
 def map_on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """`function` of every item, in order, on as many threads as torch may use, each with torch on
-    one core.
+    """Map a function over items in threads, each with torch on one core.
 
-    Operations let go of Python's lock, so the threads do run side by side. They never wait for each
-    other, unlike torch's own threads, which meet after every operation and lose most of their time
-    so when the cores are busy.
+    The results are in the order of the items. There are as many threads as torch may use. The
+    operations release the GIL, so the threads run in parallel. They never wait for each other,
+    unlike torch's own threads, which synchronise after every operation and lose most of their time
+    when the cores are busy.
     """
     threads = min(torch.get_num_threads(), len(items))
     if threads <= 1:
@@ -32,15 +32,15 @@ def map_on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> l
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             return list(pool.map(function, items))
     finally:
-        torch.set_num_threads(before)  # a worker's setting is also the default of threads to come
+        torch.set_num_threads(before)  # the setting of a worker is also the default of new threads
 
 
 @contextmanager
 def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that compute on one thread each.
+    """Start worker processes that compute on one thread each.
 
-    They are spawned, because torch's threads do not survive a fork. They are killed when the block
-    raises (Ctrl-C, SIGTERM), and end by themselves when this process is killed.
+    The processes are spawned, because torch's threads do not survive a fork. They are killed if the
+    block raises an exception (Ctrl-C, SIGTERM), and end by themselves if this process is killed.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(

@@ -1,4 +1,4 @@
-"""The one way in which long work reports how far it is."""
+"""The protocol for progress reports of long computations."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """A function that is called while work goes on.
+    """A callback for progress reports.
 
-    Long-running functions take one as their argument ``progress`` and call it as
-    ``progress(stage, detail)`` or, where the share of the work that is done is known, as
-    ``progress(stage, detail, fraction=0.25)``. The return value is ignored.
+    Long-running functions have a parameter ``progress`` and call it as ``progress(stage, detail)``
+    or, if the completed share of the work is known, as ``progress(stage, detail, fraction=0.25)``.
+    The return value is ignored.
     """
 
     def __call__(self, stage: str, detail: str = "", *, fraction: float | None = None) -> None:
         """Report progress.
 
         Args:
-            stage: The part of the work, one or two words: ``detect``.
-            detail: What is being done within it: ``surf, image 1``.
-            fraction: Share of the whole work that is done, 0 to 1; None where it is unknown.
+            stage: Part of the work in one or two words, such as ``detect``.
+            detail: Current task within the stage, such as ``surf, image 1``.
+            fraction: Completed share of the whole work, 0 to 1; None if unknown.
         """
 
 
 def silent(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
-    """Report nothing: the default where a function takes a :class:`Progress`."""
+    """Report nothing; the default of parameters of type :class:`Progress`."""

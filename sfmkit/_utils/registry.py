@@ -1,4 +1,4 @@
-"""One registry per extension point: names, entry points and import paths of plug-ins."""
+"""Registry of plug-ins by name, entry point or import path."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Registry(Generic[T]):
     installed entry point, or by an import path ``package.module:name``.
 
     Args:
-        kind: What the plug-ins are, singular, for messages: ``operator``.
-        group: Entry-point group of installed packages: ``sfmkit.operators``.
+        kind: Kind of the plug-ins in the singular, for messages, such as ``operator``.
+        group: Entry-point group of installed packages, such as ``sfmkit.operators``.
         error: Exception class for a name that is not found or a plug-in that cannot be loaded.
     """
 
@@ -36,7 +36,9 @@ class Registry(Generic[T]):
         self._registered: dict[str, T] = {}
 
     def register(self, name: str, plugin: T) -> T:
-        """Register a plug-in under a name; registering it again under this name changes nothing.
+        """Register a plug-in under a name.
+
+        Registering the same plug-in again under this name has no effect.
 
         Raises:
             InputError: `plugin` is not callable, the name is malformed, or it is taken by another.
@@ -44,7 +46,9 @@ class Registry(Generic[T]):
         if not callable(plugin):
             raise InputError(f"{self.kind} '{name}' must be callable, not {type(plugin).__name__}")
         if not name or not name.isprintable() or set(name) & set(" ,:=/\\"):
-            raise InputError(f"{name!r} cannot name a plug-in: no spaces and none of , : = / \\")
+            raise InputError(
+                f"{name!r} cannot be the name of a plug-in: spaces and , : = / \\ are not allowed"
+            )
         if self._registered.setdefault(name, plugin) is not plugin:
             raise InputError(f"there is already another {self.kind} '{name}'")
         return plugin
@@ -57,14 +61,15 @@ class Registry(Generic[T]):
         return name in self._registered or name in self._entry_points or ":" in name
 
     def __iter__(self) -> Iterator[str]:
-        """The registered names, then those of entry points."""
+        """Iterate over the registered names, then over those of entry points."""
         return iter(dict.fromkeys([*self._registered, *self._entry_points]))
 
     def __getitem__(self, name: str) -> T:
-        """The plug-in called `name`.
+        """Return the plug-in called `name`.
 
         Raises:
-            InputError: (or the registry's own class) there is none, or loading it failed.
+            InputError: There is no such plug-in, or it cannot be loaded. The class is that of the
+                registry.
         """
         if name in self._registered:
             return self._registered[name]
@@ -88,7 +93,7 @@ class Registry(Generic[T]):
         return plugin
 
     def canonical(self, name: str) -> str:
-        """The name under which results of the plug-in are stored.
+        """Return the name under which results of the plug-in are stored.
 
         Raises:
             InputError: There is no such plug-in.
@@ -97,11 +102,11 @@ class Registry(Generic[T]):
         return name
 
     def call(self, name: str, *args: Any, **keywords: Any) -> Any:
-        """Call a plug-in; the message of an error that it raises names it.
+        """Call a plug-in, and name it in the message if it raises an error.
 
         Raises:
-            InputError: (or the registry's own class) the plug-in is not part of sfmkit and raised
-                an error. Errors of built-in plug-ins are passed through.
+            InputError: A plug-in that is not part of sfmkit raised an error. The class is that of
+                the registry. Errors of built-in plug-ins are passed through.
         """
         plugin = self[name]
         try:
@@ -113,15 +118,15 @@ class Registry(Generic[T]):
             raise self.error(f"{self.kind} '{name}' failed: {kind}{error}") from error
 
     def reject(self, name: str, result: Any, reason: str) -> InputError:
-        """The error for a result that breaks the contract; the caller raises it."""
+        """Return the error for a result that breaks the contract; the caller raises it."""
         kind = type(result).__name__
-        return self.error(f"{self.kind} '{name}' returned a wrong {kind}: {reason}")
+        return self.error(f"{self.kind} '{name}' returned an invalid {kind}: {reason}")
 
     def import_path(self, name: str) -> str:
-        """A name under which another process finds the same plug-in.
+        """Return a name under which another process finds the same plug-in.
 
         Raises:
-            InputError: The plug-in lives in ``__main__``, a notebook or a closure.
+            InputError: The plug-in is defined in ``__main__``, a notebook or a closure.
         """
         plugin = self[name]
         if name not in self._registered or self.is_built_in(name):
@@ -141,15 +146,15 @@ class Registry(Generic[T]):
         return f"{module}:{qualname}"
 
     def is_built_in(self, name: str) -> bool:
-        """Whether the plug-in is part of sfmkit."""
+        """Return whether the plug-in is part of sfmkit."""
         return _place(self._code(self[name]))[0].split(".")[0] == "sfmkit"
 
     def provenance(self, name: str) -> str:
-        """What identifies the plug-in's code: its distribution with version, and its source.
+        """Identify the code of a plug-in by its distribution, version and source digest.
 
-        Used in cache keys and reports. The digest covers every Python file of the module's
-        top-level package, or the module alone where it is a single file. A plug-in that reads
-        files, such as network weights, identifies them by a method ``provenance() -> str``.
+        The text is part of cache keys and reports. The digest covers every Python file of the
+        top-level package of the module, or only the module if it is a single file. A plug-in that
+        reads files, such as network weights, identifies them with a method ``provenance() -> str``.
         """
         plugin = self._code(self[name])
         data = getattr(plugin, "provenance", None)
@@ -163,7 +168,7 @@ class Registry(Generic[T]):
         return f"{known or module} {qualname} sha256:{_source_digest(top)}{files}"
 
     def _code(self, plugin: T) -> Callable:
-        """The callable whose source is the plug-in's; another than itself where it wraps one."""
+        """Return the callable that defines the source of a plug-in, unwrapped if necessary."""
         return inspect.unwrap(plugin)
 
     @cached_property
@@ -172,10 +177,12 @@ class Registry(Generic[T]):
 
 
 def accepted(function: Callable, keywords: Mapping[str, Any], *, rest: bool) -> dict[str, Any]:
-    """Those of `keywords` that a function has a parameter for.
+    """Return the keywords for which a function has a parameter.
 
     Args:
-        rest: Whether ``**options`` of the function takes the remaining ones.
+        function: The function.
+        keywords: Names and values of the available keywords.
+        rest: Whether ``**options`` of the function receives the other keywords.
     """
     parameters = inspect.signature(function).parameters.values()
     if rest and any(p.kind is p.VAR_KEYWORD for p in parameters):
@@ -185,13 +192,13 @@ def accepted(function: Callable, keywords: Mapping[str, Any], *, rest: bool) -> 
 
 
 def _place(plugin: Callable) -> tuple[str, str]:
-    """Module and qualified name of a function, class or instance."""
+    """Return the module and the qualified name of a function, class or instance."""
     owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
     return owner.__module__ or "__main__", owner.__qualname__
 
 
 def _source_digest(package: str) -> str:
-    """Digest of a package's Python files as they are on the disk now."""
+    """Compute the digest of the Python files of a package in their current state."""
     module = sys.modules.get(package)
     try:
         file = Path(inspect.getfile(module)) if module is not None else None

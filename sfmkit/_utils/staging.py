@@ -1,4 +1,4 @@
-"""Names of temporary files and folders, and the removal of those that killed processes left."""
+"""Names of temporary files and folders, and removal of stale ones."""
 
 from __future__ import annotations
 
@@ -14,24 +14,27 @@ from pathlib import Path
 
 __all__ = ["remove_stale", "staged_name"]
 
-# place of the process (a digest), its id, a random part, and the suffix, by which some writers
-# choose the format
+# The parts are a digest of the place of the process, its id, a random part, and the suffix, from
+# which some writers choose the format.
 _NAME = re.compile(r"\.sfmkit-([0-9a-f]{8})-([0-9]{1,10})-[0-9a-f]{8}(\.[^.]*)?")
-_DAY = 24 * 3600.0  # seconds after which what another boot or machine left counts as abandoned
+_DAY = 24 * 3600.0  # seconds after which the files of another boot or machine are abandoned
 
 
 def staged_name(path: Path) -> Path:
-    """A new hidden name in the folder of `path`, and so on the same disk, with its suffix."""
+    """Return a new hidden name with the folder and suffix of `path`.
+
+    The same folder ensures that the file is on the same disk.
+    """
     suffix = path.suffix if len(os.fsencode(path.suffix)) <= 32 else ""
     return path.with_name(f".sfmkit-{_place()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove what killed processes of sfmkit have left in `folder`; once per process and folder.
+    """Remove the temporary files that killed processes of sfmkit have left in `folder`.
 
-    Removed are entries with a name of :func:`staged_name` whose process is gone. Process ids mean
-    something only within one boot and one container: entries of other places are removed when they
-    have not been changed for a day.
+    This happens once per process and folder. Entries with a name of :func:`staged_name` are removed
+    if their process has ended. Process ids are valid only within one boot and one container;
+    entries from elsewhere are removed if they have not changed for a day.
     """
     _remove_stale_once(os.path.abspath(folder), os.getpid())
 
@@ -74,7 +77,7 @@ def _runs(process: int) -> bool:
 
 @cache
 def _place() -> str:
-    """Digest of what process ids are valid in: the boot, and the container where there is one."""
+    """Return a digest of the scope of process ids: the machine, the boot and the container."""
     parts = [os.uname().nodename if hasattr(os, "uname") else os.environ.get("COMPUTERNAME", "")]
     with suppress(OSError):
         parts.append(Path("/proc/sys/kernel/random/boot_id").read_text())

@@ -1,11 +1,11 @@
 """Child processes that end with their parent, however the parent ends.
 
-The child is started by a small guard process, which is this file run as a script. The guard holds
-one end of a pipe whose other end belongs to the parent. When the parent is gone, even by SIGKILL,
-the system closes that end, and the guard ends the child: SIGTERM first, SIGKILL after some seconds.
-On Linux the child is also tied to the guard, in case the guard itself is killed.
+A small guard process, which runs this file as a script, starts the child. The guard has one end of
+a pipe, and the parent has the other. When the parent ends, even by SIGKILL, the system closes its
+end, and the guard terminates the child: first with SIGTERM and, after some seconds, with SIGKILL.
+On Linux, the child is also terminated if the guard itself is killed.
 
-Only the standard library is imported here, so that the guard starts at once.
+This module imports only the standard library, so that the guard starts quickly.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from typing import Any
 __all__ = ["Tethered", "start"]
 
 _PATIENCE_S = 10.0  # JupyterLab needs some seconds to end its kernels
-_PR_SET_PDEATHSIG = 1  # of Linux' prctl
+_PR_SET_PDEATHSIG = 1  # option of prctl in Linux
 
 
 class Tethered:
     """A child process that ends with this process.
 
     Attributes:
-        process: The guard; its exit status is the child's.
+        process: The guard, whose exit status is that of the child.
     """
 
     def __init__(self, process: subprocess.Popen, pipe: int | None) -> None:
@@ -38,15 +38,15 @@ class Tethered:
         self._pipe = pipe
 
     def poll(self) -> int | None:
-        """The child's exit status, or None while it runs."""
+        """Return the exit status of the child, or None while it runs."""
         return self.process.poll()
 
     def wait(self) -> int:
-        """Wait until the child ends, and return its exit status."""
+        """Wait until the child has ended, and return its exit status."""
         return self.process.wait()
 
     def end(self) -> None:
-        """End the child, and wait until it is gone."""
+        """Terminate the child, and wait until it has ended."""
         if self._pipe is not None:
             os.close(self._pipe)
             self._pipe = None
@@ -65,9 +65,10 @@ def start(
     """Start a command that ends with this process.
 
     Args:
-        session: Run it in a session of its own: the children of the child are ended with it, and
-            Ctrl-C does not reach them. Otherwise the child shares the terminal.
-        env: Environment; None for this process's own.
+        command: Program and arguments.
+        env: Environment; None for that of this process.
+        session: Whether to run it in a new session. The children of the child are then terminated
+            with it, and Ctrl-C does not reach them. Otherwise, the child shares the terminal.
         streams: ``stdin``, ``stdout``, ``stderr`` as for :class:`subprocess.Popen`.
     """
     if os.name != "posix":
@@ -86,8 +87,8 @@ def start(
 
 def _guard(pipe: int, session: bool, command: Sequence[str]) -> int:
     """Run `command` until it ends or the other end of the pipe is closed."""
-    # Signals of the terminal are for the child and for the parent, which then closes the pipe. The
-    # child inherits that SIGHUP is ignored: it is ended in order instead.
+    # Signals from the terminal are meant for the child and for the parent, which then closes the
+    # pipe. The child inherits that SIGHUP is ignored, so that it is terminated by the guard.
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     child = subprocess.Popen(command, preexec_fn=_prepare_child, start_new_session=session)
@@ -112,10 +113,10 @@ def _end(child: subprocess.Popen, session: bool) -> None:
     send = (lambda number: os.killpg(child.pid, number)) if session else child.send_signal
     for number in (signal.SIGTERM, signal.SIGKILL):
         deadline = time.monotonic() + _PATIENCE_S
-        with suppress(ProcessLookupError, PermissionError):  # all are gone
+        with suppress(ProcessLookupError, PermissionError):  # all processes have ended
             send(number)
             while time.monotonic() < deadline and (child.poll() is None or session):
-                send(0)  # in a session, until its last process is gone
+                send(0)  # for a session, until its last process has ended
                 time.sleep(0.02)
 
 

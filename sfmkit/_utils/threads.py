@@ -1,4 +1,4 @@
-"""Thread counts of torch, changed in one place and always restored."""
+"""Temporary limits of torch's thread count."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import torch
 
 _lock = Lock()
 _here = local()  # whether the current thread is in a block
-_inside = 0  # threads that are in a block now
-_outside = 1  # torch's thread count before the first of them entered
+_inside = 0  # number of threads that are in a block
+_outside = 1  # torch's thread count before the first of them entered its block
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch operations of this block, or of this function as a decorator, on one thread.
+    """Run the torch operations of a block, or of a decorated function, on one thread.
 
-    For stages of many small operations. With several threads each operation ends with its slowest
-    thread; on a busy machine that thread waits for a core, and the stage takes 20 to 80 times its
-    idle time. On an idle machine a second thread gains less than a fifth
-    (``benchmarks/contention.py``).
+    This is intended for stages with many small operations. With several threads, each operation
+    ends with its slowest thread. On a busy machine, that thread waits for a core, and the stage
+    takes 20 to 80 times as long as on an idle machine. On an idle machine, a second thread saves
+    less than a fifth of the time (``benchmarks/contention.py``).
 
-    torch keeps the count per thread, but the last count that any thread has set is also the default
-    of every new thread. Blocks therefore count how many of them are open, and a thread that first
-    used torch while another one was inside leaves with the count from before.
+    torch stores the count per thread, but the last count that any thread has set is also the
+    default of every new thread. The number of open blocks is therefore counted. If a thread uses
+    torch for the first time while another thread is in a block, the count from before that block is
+    restored for it.
     """
     global _inside, _outside
     if getattr(_here, "inside", False):

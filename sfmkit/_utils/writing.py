@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Atomic writing of files and folders."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _LEAST_SPACE = 8 << 20  # bytes; the pictures and the recording of a small pair 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike) -> Iterator[Path]:
-    """Write a file under a temporary name beside `path`, and move it there once it is complete.
+    """Write a file under a temporary name next to `path`, and rename it when it is complete.
 
-    A failure of any kind, Ctrl-C included, leaves what was at `path` before and no temporary file.
+    After any failure, including Ctrl-C, the previous file at `path` is unchanged and there is no
+    temporary file.
 
     Yields:
         The temporary path to write to; an empty file.
@@ -49,14 +50,15 @@ def atomic_write(path: str | os.PathLike) -> Iterator[Path]:
 
 @contextmanager
 def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[Path]:
-    """Fill a folder under a hidden name beside `path`, and move it there once it is complete.
+    """Fill a folder under a hidden name next to `path`, and rename it when it is complete.
 
-    A failure of any kind, Ctrl-C included, leaves no temporary folder, and the folder that was at
-    `path` before as it was. Missing parents are made, and removed again on failure.
+    After any failure, including Ctrl-C, the previous folder at `path` is unchanged and there is no
+    temporary folder. Missing parents are created, and removed again after a failure.
 
     Args:
-        overwrite: Replace the folder at `path`; without it an existing folder is refused before
-            anything is written.
+        path: The final folder.
+        overwrite: Whether to replace the folder at `path`; otherwise, an existing folder is
+            rejected before anything is written.
 
     Yields:
         The temporary folder to write into.
@@ -85,18 +87,18 @@ def staged_folder(path: str | os.PathLike, overwrite: bool = False) -> Iterator[
     finally:
         shutil.rmtree(staged, ignore_errors=True)
         for parent in made:
-            with suppress(OSError):  # it was not made, or holds something else by now
+            with suppress(OSError):  # it was not created, or is not empty any more
                 parent.rmdir()
 
 
 def check_free(path: Path, overwrite: bool) -> None:
     """Check before the work that a folder can be written to `path` by :func:`staged_folder`.
 
-    The nearest existing folder above it must be writable and have 8 MiB left. This is tried by
-    making and removing a hidden folder there.
+    The nearest existing parent folder must be writable and have 8 MiB of free space. This is tested
+    by creating and removing a hidden folder there.
 
     Raises:
-        OutputError: `path` exists and `overwrite` is not set, is a file, or holds the working
+        OutputError: `path` exists and `overwrite` is not set, is a file, or contains the working
             folder; it cannot be written; its name is too long; or the disk is full.
     """
     path = Path(os.path.abspath(path))
@@ -136,7 +138,7 @@ def check_file(path: str | os.PathLike) -> None:
 
 
 def _check_room(path: Path, parent: Path) -> None:
-    """Check that a file or folder can be made in `parent`, which holds what `path` is part of."""
+    """Check that a file or folder can be created in `parent`, an existing parent of `path`."""
     if not parent.is_dir():
         raise OutputError(f"{path} cannot be written: {parent} is not a folder")
     trial = staged_name(parent / "trial")
@@ -163,15 +165,15 @@ def _check_taken(path: Path, overwrite: bool) -> None:
             )
         if path in (Path.cwd(), *Path.cwd().parents):
             raise OutputError(
-                f"{path} is the working folder or above it and is not replaced; choose a folder "
-                "below it"
+                f"{path} contains the working folder and cannot be replaced; choose a folder below "
+                "it"
             )
     elif os.path.lexists(path):
         raise OutputError(f"{path} is a file; choose a folder to write to")
 
 
 def _check_name(path: Path) -> None:
-    """Refuse names that no file system takes; they could not even be looked up."""
+    """Raise OutputError for names that no file system supports and that cannot be looked up."""
     try:
         encoded = [os.fsencode(part) for part in path.parts]
     except UnicodeEncodeError as error:
@@ -191,15 +193,15 @@ def _check_name(path: Path) -> None:
 def _move_folder(staged: Path, path: Path, overwrite: bool) -> None:
     """Move `staged` to `path`.
 
-    An existing folder is moved aside first, because a folder cannot be renamed onto another.
+    An existing folder is renamed first, because a folder cannot be renamed to an existing one.
     """
     if not path.exists():
         staged.rename(path)
         return
     if not overwrite:
         raise OutputError(
-            f"the folder {path} was made by another program meanwhile; choose another, or use "
-            "--overwrite"
+            f"another program has created the folder {path} in the meantime; choose another, or "
+            "use --overwrite"
         )
     old = staged_name(path)
     try:
@@ -215,12 +217,12 @@ def _move_folder(staged: Path, path: Path, overwrite: bool) -> None:
 
 
 def _sync(file: Path) -> None:
-    """Wait until the disk holds the file; some file systems report a full disk only then."""
+    """Wait until the file is on the disk; some file systems report a full disk only then."""
     with file.open("rb+") as stream:
         os.fsync(stream.fileno())
 
 
 def _output_error(path: Path, error: OSError) -> OutputError:
     return OutputError(
-        f"{path} cannot be written: {error.strerror or error}; nothing half-written is left"
+        f"{path} cannot be written: {error.strerror or error}; no incomplete output is left"
     )

@@ -125,8 +125,8 @@ def _noise(state: State, problem: Problem, used: Tensor) -> tuple[Tensor, Tensor
     dof = matches - problem.size
     if not _traced() and bool((dof <= 0).any()):
         raise DegenerateGeometryError(
-            f"{int(matches.min())} matches and {problem.size} camera unknowns leave nothing to "
-            "estimate the noise from",
+            f"{int(matches.min())} matches and {problem.size} camera unknowns leave no degrees of "
+            "freedom from which to estimate the noise",
             matches=int(matches.min()),
             needed=problem.size + 1,
         )

@@ -1,4 +1,4 @@
-"""The stages composed: two photographs to geometry and a cloud, or to a homography."""
+"""The complete pipeline: from two photographs to a geometry and a cloud, or a homography."""
 
 from .account import OperatorAccount
 from .reconstruction import Reconstruction, reconstruct

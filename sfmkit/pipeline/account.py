@@ -10,28 +10,29 @@ from torch import Tensor
 
 from ..types import Correspondences, PointCloud
 
-ALL = "multi"  # the paper's name for the operators together
+ALL = "multi"  # the name of the paper for all operators together
 
 
 @dataclass(frozen=True)
 class OperatorAccount:
-    """The statistics of one operator, or of all together.
+    """Statistics of one operator, or of all together.
 
-    A correspondence or point that several operators found counts for each of them, so the numbers
-    of the operators add up to the total only if nothing was merged.
+    A correspondence or point that several operators found counts for each of them. The numbers of
+    the operators therefore add up to the total only if nothing was merged.
 
     Attributes:
-        keypoints: Found in image 1 and image 2.
-        matches: After the operator's own matching.
-        initial: Fused correspondences that the operator found; without merging equal to `matches`.
-        inliers: Of those, in agreement with the epipolar geometry.
-        points: Of those, in the cloud.
-        points_alone: Points that no other operator found.
-        share_initial: `initial` over the number of all correspondences.
-        share_points: `points` over the number of points of the cloud.
-        loss: Share of `initial` that did not become a point.
+        keypoints: Numbers of keypoints in image 1 and image 2.
+        matches: Number of matches of the operator before fusion.
+        initial: Number of fused correspondences that the operator found; equal to `matches` if
+            nothing was merged.
+        inliers: Number of these that agree with the epipolar geometry.
+        points: Number of points in the cloud that the operator found.
+        points_alone: Number of points that no other operator found.
+        share_initial: `initial` divided by the number of all correspondences.
+        share_points: `points` divided by the number of points of the cloud.
+        loss: Share of `initial` that was not triangulated.
         log10_chance: log10 of the probability that so many of its matches agree by chance with the
-            pose that the other operators determine; None where not computed.
+            pose that the other operators determine; None if not computed.
     """
 
     keypoints: tuple[int, int]
@@ -87,12 +88,12 @@ def make_account(
     cloud: PointCloud | None,
     witnesses: Mapping[str, float] | None = None,
 ) -> dict[str, OperatorAccount]:
-    """Compute the statistics of every operator and, last, of all (``multi``).
+    """Compute the statistics of every operator and of all operators together (``multi``).
 
     Args:
         corr: N fused correspondences with their counts.
-        inliers: (N,) bool.
-        cloud: The points, None without a cloud.
+        inliers: (N,) bool, the correspondences that agree with the geometry.
+        cloud: The triangulated points; None without a cloud.
         witnesses: Operator -> `log10_chance`.
     """
     n, m = len(corr), 0 if cloud is None else len(cloud)

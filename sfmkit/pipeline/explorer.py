@@ -1,6 +1,6 @@
-"""Relate one pixel of image 1 to image 2: epipolar line, candidates, match and ray.
+"""Epipolar line, candidates, match and ray of a pixel of image 1.
 
-The interactive views use this module; it does not depend on their widgets.
+The interactive views use this module, which does not depend on their widgets.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..geometry.lines import clip_lines
 from .reconstruction import Reconstruction
 
 _KEYPOINT = re.compile(r"/world/cam1/image/keypoints/(?P<operator>[^/]+)$")  # see docs/recording.md
-_STEPS = 200  # points of a curve where the lens bends lines
+_STEPS = 200  # number of points of a curve, if the lens distorts lines
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,21 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class EpipolarView:
-    """What corresponds to a pixel of image 1.
+    """The epipolar line, candidates, match and ray of a pixel of image 1.
 
     Attributes:
-        x1: The pixel.
-        line: (3,) its epipolar line in the undistorted image 2, ``a² + b² = 1``.
-        curve: (N, 2) the part of it inside image 2, pixels of the photograph: two ends without
-            lens distortion, more with it, none if the line does not cross the image.
+        x1: (2,) the pixel.
+        line: (3,) epipolar line of the pixel in the undistorted image 2, ``a² + b² = 1``.
+        curve: (N, 2) part of the line inside image 2, in pixels of the photograph: two ends without
+            lens distortion, more points with distortion, and no points if the line does not cross
+            the image.
         candidates: Keypoints of image 2 near the line, nearest first.
-        match: Row of the inlier correspondence nearest to the pixel, None if none is near.
-        x1_match, x2_match: (2,) its pixels.
-        residual_px: Its distance from its own epipolar line in image 2, pixels.
-        ray: (3,) unit direction in camera 1 of the pixel.
-        X: (3,) the match's point in camera 1, baselines, None for none.
+        match: Row of the inlier correspondence nearest to the pixel; None if none is near.
+        x1_match, x2_match: (2,) pixels of the match.
+        residual_px: Distance of the match from its own epipolar line in image 2, pixels.
+        ray: (3,) unit direction of the pixel in the frame of camera 1.
+        X: (3,) triangulated point of the match in the frame of camera 1, in baselines; None if
+            there is none.
     """
 
     x1: np.ndarray
@@ -68,7 +70,7 @@ class EpipolarView:
             f"{len(self.candidates):,} keypoints near its line"
         ]
         if self.x2_match is None:
-            words.append("no inlying match near the pixel")
+            words.append("no inlier near the pixel")
         else:
             words.append(
                 f"match {self.match} at ({self.x2_match[0]:.1f}, {self.x2_match[1]:.1f}) of image "
@@ -82,7 +84,7 @@ class EpipolarView:
 
 
 class EpipolarExplorer:
-    """Find epipolar lines, candidates, matches and rays of pixels of image 1.
+    """A search for epipolar lines, candidates, matches and rays of pixels of image 1.
 
     Args:
         result: A reconstruction with a fundamental matrix (general or planar).
@@ -111,10 +113,10 @@ class EpipolarExplorer:
             np.zeros((0, 2), np.float32)
         ]
         self._keypoints2 = torch.from_numpy(np.concatenate(keypoints).astype(np.float64))
-        # NaN outside the field of the lens: on no epipolar line
+        # Keypoints outside the field of the lens are NaN and therefore on no epipolar line.
         self._ideal2 = undistort_pixels(self._keypoints2, view.camera2, return_valid=True)[0]
         cloud = result.cloud
-        #: the depth to which rays are drawn, baselines
+        #: Depth to which rays are drawn, in baselines.
         self.far = (
             10.0
             if cloud is None or not len(cloud)
@@ -123,10 +125,13 @@ class EpipolarExplorer:
         self._point_of = {} if cloud is None else {int(m): k for k, m in enumerate(cloud.match)}
 
     def look(self, x1: tuple[float, float] | np.ndarray) -> EpipolarView:
-        """Find what corresponds to the pixel x1 = (x, y) of image 1.
+        """Find the epipolar line, candidates, match and ray of the pixel x1 of image 1.
+
+        Args:
+            x1: Pixel (x, y).
 
         Raises:
-            InputError: Not two finite numbers, or a pixel outside image 1.
+            InputError: x1 is not two finite numbers, or lies outside image 1.
         """
         pixel = np.asarray(x1, dtype=np.float64)
         w, h = self.result.images[0].size_wh
@@ -186,9 +191,9 @@ class EpipolarExplorer:
         return f1.keypoints[row].astype(np.float64)
 
     def selected(self, entity_path: str, instance: int | None) -> np.ndarray | None:
-        """Return the pixel (2,) of a keypoint of image 1 selected in the Rerun viewer.
+        """Return the pixel (2,) of a keypoint of image 1 that is selected in the Rerun viewer.
 
-        None for any other entity.
+        The result is None for any other entity.
         """
         found = _KEYPOINT.search(entity_path)
         if found is None or instance is None or found["operator"] not in self.result.features:

@@ -1,4 +1,4 @@
-"""Which code made a result: the operators, matchers and estimator of a run."""
+"""Provenance of the operators, matchers and estimator of a run."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..options import Options
 
 
 def used_plugins(operators: Sequence[str], options: Options) -> dict[str, dict[str, str]]:
-    """What identifies the code of each plug-in that was used.
+    """Return texts that identify the code of each plug-in that a run uses.
 
     Args:
-        operators: The operators of a run.
-        options: Its options; they choose the matchers and the estimator.
+        operators: The operators of the run.
+        options: The options of the run, which select the matchers and the estimator.
 
     Returns:
         ``operators``, ``matchers``, ``estimators`` -> name -> the distribution with its version
-        and, where it is not sfmkit, a digest of its source.
+        and, if it is not sfmkit, a digest of its source.
     """
     matchers = dict.fromkeys(matcher_of(name, options.match) for name in operators)
     backend = options.estimate.backend

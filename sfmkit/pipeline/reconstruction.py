@@ -1,4 +1,4 @@
-"""Two photographs to geometry and a coloured cloud with the operators that found each point."""
+"""Reconstruction of a coloured point cloud from two photographs."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Reconstruction:
 
     Attributes:
         images: The two photographs.
-        features: Per operator, what it found in both images.
-        matches: Per operator, before fusion.
-        correspondences: Fused, in pixels of the photographs (with their distortion).
+        features: Features of both images, per operator.
+        matches: Matches before fusion, per operator.
+        correspondences: Fused matches in pixels of the photographs (including their distortion).
         two_view: The geometry, its verdict and its inliers.
-        cloud: Triangulated points, None where the verdict allows none.
-        account: Per operator and for all (``multi``), what went in and came out.
-        options, seed: What it was made with.
+        cloud: Triangulated points; None if the geometry has no translation.
+        account: Statistics per operator and for all together (``multi``).
+        options, seed: Options and seed of the run.
         timings_s: Seconds per stage.
-        warnings: Messages about what may be wrong with the input or the result.
-        errors: Against the truth, if it was given: ``rotation_deg``, ``translation_deg``.
-        plugins: What identifies the code of each operator, matcher and estimator that was used.
+        warnings: Messages about possible problems of the input or the result.
+        errors: Errors with respect to the truth, if given: ``rotation_deg``, ``translation_deg``.
+        plugins: Provenance of each operator, matcher and estimator that was used.
     """
 
     images: tuple[Image, Image]
@@ -69,7 +69,7 @@ class Reconstruction:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is a geometry to rely on: neither too little evidence nor ambiguous."""
+        """Whether the geometry is reliable: neither too little evidence nor ambiguous."""
         return self.two_view.verdict not in (Verdict.TOO_LITTLE, Verdict.AMBIGUOUS)
 
     @property
@@ -99,26 +99,27 @@ def reconstruct(
     Args:
         image1, image2: Paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
         camera: Intrinsics of image 1, and of image 2 unless `camera2` is given: a :class:`Camera`,
-            a (3, 3) K, or what :func:`sfmkit.io.intrinsics.parse_intrinsics` takes (a file,
+            a (3, 3) K, or an argument of :func:`sfmkit.io.intrinsics.parse_intrinsics` (a file,
             ``fx,fy,cx,cy``); None reads them from EXIF.
         operators: Names of operators (``sfmkit operators`` lists them), ``detector+descriptor``,
             or import paths of plug-ins.
-        matchers: Name or import path of the matcher of all operators; or operator -> matcher for
-            some of them, as in ``{"aliked": "lightglue"}``; None for those of `options`.
-        options: :data:`sfmkit.options.DEFAULT`, another preset, or your own.
-        device: Torch device of detection, matching and the robust search, such as ``cuda``; None
+        camera2: Intrinsics of image 2, if it was taken by another camera.
+        matchers: Name or import path of the matcher for all operators; or a mapping operator ->
+            matcher for some of them, such as ``{"aliked": "lightglue"}``; None for those of
+            `options`.
+        options: :data:`sfmkit.options.DEFAULT`, another preset, or your own options.
+        device: Torch device for detection, matching and the robust search, such as ``cuda``; None
             for that of `options`.
         seed: The same seed gives the same result on the same machine.
-        truth: (R, t) with ``X2 = R X1 + t`` to compare with; t up to scale.
-        progress: Called with (stage, detail).
+        truth: True pose (R, t), ``X2 = R X1 + t``, for the errors; t up to scale.
+        progress: Callback for progress reports, called with (stage, detail).
 
     Returns:
-        The results of all stages. A geometry that the matches do not support is not an error: it
-        is the verdict of ``result.two_view``.
+        The results of all stages. If the matches do not support a geometry, no error is raised;
+        the verdict of ``result.two_view`` reports it.
 
     Raises:
-        InputError: Images, cameras, operators, matchers, estimators or a device that cannot be
-            used.
+        InputError: An image, camera, operator, matcher, estimator or device cannot be used.
     """
     watch = Stopwatch(progress)
     began = time.perf_counter()

@@ -1,10 +1,10 @@
-"""Estimate the homography between two images, with per-operator statistics.
+"""Registration: the homography between two images, with per-operator statistics.
 
     >>> result = register("img1.png", "img2.png")
     >>> result.H, result.verdict, result.reason
 
-The images show a plane, or the camera only rotated. Detection, matching and fusion are those of
-:func:`sfmkit.reconstruct`.
+A homography relates two images of a plane, or two images from the same position. Detection,
+matching and fusion are those of :func:`sfmkit.reconstruct`.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from .stages import (
     match_all,
 )
 
-_ROUNDS = 2  # maximum, of guided matching: the second starts from a better homography
-_SETTLED_PX = 0.5  # a round that moves every corner by less is the last
-_RADIUS = 2.0  # of guided matching around the predicted position, in thresholds
+_ROUNDS = 2  # maximum number of rounds of guided matching; the second starts from a better H
+_SETTLED_PX = 0.5  # a round that moves every corner by less is the last one
+_RADIUS = 2.0  # radius of guided matching around the predicted position, in thresholds
 # descriptor distances up to this quantile of the operator's inliers are accepted
 _DISTANCE_QUANTILE = 0.9
 _WORST_RELATIVE = 1.35  # descriptor distance over its limit at which the weight would be 0
 _LEAST_SIGMA_PX = 0.1  # lower bound of an operator's localisation error
-_LEAST_DISTANCE = 1e-6  # between different descriptors; rounding is larger
+_LEAST_DISTANCE = 1e-6  # lower bound of the limit of descriptor distances
 _GRID = 8  # cells per side; matches in crowded cells get a smaller weight
-# the weight of a match is n^-CROWD for n matches in its cell: with 0 all matches count equally,
-# with 1 all cells
+# The weight of a match is n^-CROWD for n matches in its cell: with 0, all matches have the same
+# weight; with 1, all cells have the same weight.
 _CROWD = 0.5
-_LEAST_INLIERS = 10  # of an operator, to estimate its descriptor distances
+_LEAST_INLIERS = 10  # minimum number of inliers to estimate the descriptor distances of an operator
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +63,10 @@ class Registration:
         inliers: (N,) bool over `correspondences`.
         verdict: Planar, or too little evidence.
         reason: The verdict in words.
-        evidence: The numbers behind it (:class:`~sfmkit.estimation.planar.PlanarFit`).
-        correspondences: Fused, of the whole images.
+        evidence: The numbers on which it is based (:class:`~sfmkit.estimation.planar.PlanarFit`).
+        correspondences: Fused matches of the whole images.
         guided: Result of guided matching, to which the final H is fitted; None without it.
-        account: Statistics per operator and for all operators.
+        account: Statistics per operator and for all together (``multi``).
         timings_s: Seconds per stage.
         warnings: Messages about possible problems of the input or the result.
     """
@@ -99,16 +99,19 @@ def register(
     Args:
         image1, image2: Paths, (H, W, 3) uint8 RGB or (H, W) uint8 grey arrays, or :class:`Image`.
         operators: Names of operators, ``detector+descriptor``, or import paths of plug-ins.
-        matchers: Name or import path of the matcher of all operators, or operator -> matcher for
-            some; None for those of `options`.
-        options: Of detection, matching, fusion and the homography (``planar``).
-        device: Torch device of detection and matching; None for that of `options`.
+        matchers: Name or import path of the matcher for all operators, or a mapping operator ->
+            matcher for some; None for those of `options`.
+        options: Options of detection, matching, fusion and the homography (``planar``).
+        device: Torch device for detection and matching; None for that of `options`.
         seed: The same seed gives the same result on the same machine.
-        progress: Called with (stage, detail).
+        progress: Callback for progress reports, called with (stage, detail).
+
+    Returns:
+        The homography and its evidence. If the images do not show one plane, no error is raised;
+        the verdict reports it.
 
     Raises:
-        InputError: Invalid images or operators. Images that do not show one plane are not an error
-            but a verdict.
+        InputError: An image, operator, matcher or device cannot be used.
     """
     watch = Stopwatch(progress)
     began = time.perf_counter()
@@ -171,7 +174,8 @@ def _guide(
             fit.inliers & corr.found_by(name) & (corr.operator_id == corr.operators.index(name))
         ]
         if len(mine) >= _LEAST_INLIERS:
-            # Above 0 even if most descriptors are equal: distances are divided by it.
+            # Distances are divided by the limit, so it must not be 0 even if most descriptors are
+            # equal.
             limits[name] = max(float(torch.quantile(mine, _DISTANCE_QUANTILE)), _LEAST_DISTANCE)
     if not limits:
         return fit, None
@@ -221,10 +225,10 @@ def localisation_weights(guided: Correspondences, H: Tensor, relative: Tensor) -
     Args:
         guided: N matches.
         H: (3, 3).
-        relative: (N,) descriptor distance over the limit of its operator, in [0, 1].
+        relative: (N,) descriptor distances divided by the limits of their operators, in [0, 1].
 
     Returns:
-        (N,) of mean 1.
+        (N,) weights with mean 1.
     """
     e = squared_homography_sampson_distance(H, guided.x1, guided.x2).sqrt()
     weight = _WORST_RELATIVE - relative

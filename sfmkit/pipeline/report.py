@@ -1,4 +1,7 @@
-"""``report.json``: the result in numbers; its schema is ``report.schema.json`` in this folder."""
+"""The report of a reconstruction, ``report.json``.
+
+Its schema is ``report.schema.json`` in this folder.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ def schema() -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Any:
-    """Tensors and arrays as nested lists; NaN and infinity, which JSON does not have, as None."""
+    """Convert tensors and arrays to nested lists, and values that are not finite to None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, dict):

@@ -58,7 +58,7 @@ FeaturePairs = Mapping[str, tuple[Features, Features]]
 
 @dataclass
 class Stopwatch:
-    """Measures the seconds of each stage and reports progress."""
+    """A stopwatch that measures the seconds of each stage and reports progress."""
 
     progress: Progress | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -154,8 +154,8 @@ def choose_cameras(
 
     Args:
         images: Image 1 and image 2.
-        camera: Of image 1, and of image 2 if `camera2` is None; None reads EXIF.
-        camera2: Of image 2, if it was taken by another camera.
+        camera: Camera of image 1, and of image 2 if `camera2` is None; None reads EXIF.
+        camera2: Camera of image 2, if it was taken by another camera.
 
     Raises:
         CameraError: The intrinsics are impossible, or belong to an image of another size.
@@ -187,7 +187,7 @@ def _camera(camera: CameraLike | None, image: Image) -> Camera:
 
 
 def _same_lens(camera: Camera, image: Image) -> Camera:
-    """Scale `camera` to an image of the same shape; a crop or another camera has its own K."""
+    """Scale `camera` to an image of the same aspect ratio, and raise CameraError for others."""
     (w, h), (w1, h1) = image.size_wh, camera.size_wh
     if abs(w / w1 - h / h1) > 0.01 * w / w1:
         raise CameraError(
@@ -274,7 +274,7 @@ def estimate_geometry(
 
     Args:
         corr: N correspondences in pixels of the photographs.
-        cameras: Of image 1 and image 2.
+        cameras: Cameras of image 1 and image 2.
         options: Options of the estimation; ``refine=False`` switches the refinement off.
         seed: The same seed gives the same result on the same machine.
         device: Torch device, for estimators with such a parameter.

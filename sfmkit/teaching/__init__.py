@@ -1,4 +1,4 @@
-"""Exercises of the notebooks and the function ``check`` that grades answers."""
+"""Exercises of the notebooks, and the function ``check`` that grades the answers."""
 
 from .checking import check
 

@@ -1,8 +1,8 @@
-"""Grade the answers to the exercises: ``check("04.1", answer)``.
+"""Grading of the answers to the exercises: ``check("04.1", answer)``.
 
 An exercise has a question, the correct answer and common mistakes with their explanations. Answers
-are values or functions; a function is tested on the inputs of the exercise. All answers are
-computed, none is stored.
+are values or functions; a function is tested on the inputs of the exercise. The correct answers are
+computed, not stored.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .exercises import EXERCISES
 from .hints import HINTS
 from .marks import append_mark, current_class
 
-ROUNDED = 0.01  # relative difference up to which a value is regarded as rounded too early
+ROUNDED = 0.01  # relative difference up to which a value is regarded as rounded too much
 WIDTH = 96  # characters that fit into one line of a notebook cell
 
 
@@ -40,7 +40,7 @@ def check(exercise: str, answer: Any = ..., hint: int = 0) -> None:
     In a class (`sfmkit lab --class`), the check is also written to the marks file.
 
     Args:
-        exercise: The number of the exercise, for example ``"04.1"``.
+        exercise: Number of the exercise, for example ``"04.1"``.
         answer: A number, array, string or function, depending on the exercise; ``...`` prints
             the question.
         hint: Level up to which hints are printed if the answer is not correct: 1 for the idea, 2
@@ -122,7 +122,7 @@ def _judge_function(task: Exercise, answer: Any) -> Judgement:
             answers.append(
                 answer(*(np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments))
             )
-        except Exception as error:  # the function of a student can raise any exception
+        except Exception as error:  # a student's function can raise any exception
             shapes = ", ".join(str(np.shape(a)) for a in arguments)
             return Judgement(
                 False,

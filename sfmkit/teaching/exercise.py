@@ -13,13 +13,15 @@ class Exercise:
 
     Attributes:
         question: One or two sentences; starts with the signature if a function is expected.
-        right: Computes the correct answer, from the inputs if a function is expected.
-        wrong: Common mistakes with their explanations; same arguments as `right`.
-        inputs: Returns the argument tuples on which a function is tested; None for a value.
+        right: Function that computes the correct answer, from the inputs if a function is expected.
+        wrong: Common mistakes with their explanations; they have the same arguments as `right`.
+        inputs: Function that returns the argument tuples on which a function is tested; None if a
+            value is expected.
         up_to_scale: Whether answers that differ by a non-zero factor are equal (homogeneous
             quantities).
-        period: Answers that differ by a multiple of it are equal (angles), or None.
-        tolerance: Relative to the largest entry of the correct answer.
+        period: Period of the answer (angles): answers that differ by a multiple of it are equal;
+            None without a period.
+        tolerance: Tolerance relative to the largest entry of the correct answer.
     """
 
     question: str

@@ -1,4 +1,4 @@
-"""Hints in two levels: the first names the idea, the second the formula or the call."""
+"""Hints in two levels: the first gives the idea, the second the formula or the call."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ HINTS: dict[str, tuple[str, str]] = {
         "np.linalg.det(A) and np.trace(A).",
     ),
     "01.3": (
-        "Start with the rectangle from the origin to (x1, y1) and remove what is too much.",
-        "The part that is removed twice must be added once: S[y0, x0]. Rows are indexed by y.",
+        "Start with the rectangle from the origin to (x1, y1) and subtract the parts outside the "
+        "box.",
+        "The part that is subtracted twice must be added once: S[y0, x0]. Rows are indexed by y.",
     ),
     "01.4": (
         "The centroid is the mean of the positions, weighted by the intensities. Only its "
@@ -41,7 +42,7 @@ HINTS: dict[str, tuple[str, str]] = {
     ),
     "02.2": (
         "Find the nearest column of each row and the nearest row of each column; keep the "
-        "pairs that select each other.",
+        "pairs that are nearest to each other.",
         "With n = D.argmin(1) and m = D.argmin(0), row i is kept if m[n[i]] == i.",
     ),
     "02.3": (
@@ -75,7 +76,7 @@ HINTS: dict[str, tuple[str, str]] = {
     ),
     "04.3": (
         "Insert x1 = K1 xn1 and x2 = K2 xn2 into x2^T F x1 = 0.",
-        "(K2 xn2)^T = xn2^T K2^T; what is between xn2^T and xn1 is E.",
+        "(K2 xn2)^T = xn2^T K2^T; the product between xn2^T and xn1 is E.",
     ),
     "04.4": (
         "Start with nine entries. Which two properties of F reduce the number?",
@@ -98,7 +99,7 @@ HINTS: dict[str, tuple[str, str]] = {
         "If all points and the translation are multiplied by a number, the pixels do not change.",
     ),
     "05.5": (
-        "Camera 2 sees the point X + s where the matches claim that it sees X.",
+        "In image 2, the match of X is the image of X + s.",
         "X2 = R (X + s) + t = R X + (t + R s).",
     ),
     "06.1": (
@@ -106,7 +107,7 @@ HINTS: dict[str, tuple[str, str]] = {
         "b / z = d / f.",
     ),
     "06.2": (
-        "First-order propagation multiplies sigma by the derivative of z with respect to d.",
+        "First-order error propagation multiplies sigma by the derivative of z with respect to d.",
         "|dz / dd| = f b / d²; replace d by f b / z.",
     ),
     "06.3": (
@@ -143,8 +144,8 @@ HINTS: dict[str, tuple[str, str]] = {
         "Divide the standard deviation of the differences by the square root of their number.",
     ),
     "08.3": (
-        "Average what an operator adds over both orders in which the two are added.",
-        "Operator 1 adds v1 if it is first and v12 - v2 if it is second.",
+        "Average the gain of an operator over both orders in which the two can be added.",
+        "Operator 1 gains v1 if it is added first, and v12 - v2 if it is added second.",
     ),
     "08.4": (
         "How many comparisons are there? What share of them is below 0.05 by chance?",
@@ -155,8 +156,8 @@ HINTS: dict[str, tuple[str, str]] = {
         "The diagonals are np.hypot(36, 24) mm and np.hypot(w, h) pixels.",
     ),
     "09.2": (
-        "The focal lengths scale by s. The corner of the image, not the centre of the first pixel, "
-        "stays in place.",
+        "The focal lengths are multiplied by s. The corner of the image, not the centre of the "
+        "first pixel, stays in place.",
         "The corner is at -0.5: the principal point becomes (c + 0.5) s - 0.5.",
     ),
     "09.3": (

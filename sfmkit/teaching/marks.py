@@ -1,7 +1,6 @@
-"""The marks of a class: one file per student, one line per check, and the table of many files.
+"""Marks of a class: one file per student with one line per check, and their summary.
 
-A line is a JSON object with the fields of :class:`Mark`. Files are read and written on this machine
-only.
+A line is a JSON object with the fields of :class:`Mark`. The files stay on this machine.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ class Mark:
     """One check of an answer.
 
     Attributes:
-        student: Name.
-        exercise: Number, such as ``04.1``.
+        student: Name of the student.
+        exercise: Number of the exercise, such as ``04.1``.
         right: Whether the answer was correct.
         answered: Whether there was an answer; a hint can be read without one.
         hint: Level of the hint that was printed, 0 for none.
-        time: Of the check, UTC, ISO 8601.
+        time: Time of the check, UTC, ISO 8601.
     """
 
     student: str
@@ -44,14 +43,14 @@ class Mark:
 
 @dataclass(frozen=True)
 class Result:
-    """What a student reached in an exercise.
+    """The result of a student in an exercise.
 
     Attributes:
         student, exercise: As in :class:`Mark`.
         solved: Whether an answer was correct.
-        tries: Answers up to the first correct one.
-        hint: Highest level that was read before the first correct answer.
-        minutes: From the first check to the first correct answer, or to the last check.
+        tries: Number of answers up to the first correct one.
+        hint: Highest level of the hints that were read before the first correct answer.
+        minutes: Minutes from the first check to the first correct answer, or to the last check.
         first: Time of the first check.
     """
 
@@ -78,7 +77,7 @@ def append_mark(file: Path, student: str, exercise: str, right: bool, answered: 
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     line = json.dumps(asdict(Mark(student, exercise, right, answered, hint, now)))
-    # One write of a file opened for appending: kernels of several notebooks write to it.
+    # The kernels of several notebooks write to the file: append the line in a single write.
     descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     try:
         os.write(descriptor, f"{line}\n".encode())
@@ -90,7 +89,7 @@ def read_marks(files: Iterable[Path]) -> list[Mark]:
     """Read marks files; a line that occurs in several of them counts once.
 
     Raises:
-        InputError: A file that cannot be read, or a line that is not a mark.
+        InputError: A file cannot be read, or a line is not a mark.
     """
     found: dict[tuple[Mark, int], Mark] = {}
     for file in files:
@@ -102,7 +101,7 @@ def read_marks(files: Iterable[Path]) -> list[Mark]:
         for number, line in enumerate(lines, start=1):
             if line.strip():
                 mark = _parsed(line, f"{file}, line {number}")
-                seen[mark] += 1  # equal checks within one second are different ones
+                seen[mark] += 1  # equal checks within one second are different checks
                 found[mark, seen[mark]] = mark
     return sorted(found.values(), key=lambda mark: (mark.student, mark.exercise, mark.time))
 

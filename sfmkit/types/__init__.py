@@ -1,11 +1,11 @@
-"""The types of the data flow: ``image -> Features -> Correspondences -> TwoView -> PointCloud``.
+"""Types of the data flow: ``image -> Features -> Correspondences -> TwoView -> PointCloud``.
 
-Every type is frozen and checks its fields when it is constructed, so that later stages and notebook
+Every type is frozen and checks its fields when it is constructed, so later stages and notebook
 cells can rely on them. Error messages name the field, the expected shape and the value received.
 All types can be pickled and copied.
 
-Arrays up to :class:`Features` are NumPy arrays, as in OpenCV; from :class:`Correspondences` on they
-are torch tensors in float64, on the CPU unless stated otherwise.
+The arrays of :class:`Features` and :class:`Matches` are NumPy arrays, as in OpenCV. From
+:class:`Correspondences` on, they are float64 torch tensors, on the CPU unless stated otherwise.
 """
 
 from .camera import Camera, IntrinsicsSigma, LensModel

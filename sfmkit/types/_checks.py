@@ -1,4 +1,4 @@
-"""Checks of the arrays and tensors that a type is built from."""
+"""Checks of the arrays and tensors in the fields of a type."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from ..errors import InputError
 def check_array(
     owner: str, name: str, a: Any, shape: tuple[int | None, ...], kinds: str, finite: bool = True
 ) -> None:
-    """Raise InputError unless `a` is an array of `shape` (None: any length) whose dtype kind is one
-    of `kinds`."""
+    """Raise InputError unless `a` is an array of a given shape and kind of dtype.
+
+    None in `shape` stands for any length; `kinds` contains NumPy's letters for kinds of dtypes.
+    """
     if not isinstance(a, np.ndarray):
         raise InputError(f"{owner}.{name} must be a NumPy array, not {type(a).__name__}")
     want = (

@@ -22,9 +22,9 @@ class IntrinsicsSigma:
     """Standard deviations of a camera's intrinsics.
 
     Attributes:
-        focal: Of the focal length, as a fraction of it.
-        principal_point: Of each coordinate of the principal point, pixels.
-        k1: Of the first radial distortion coefficient.
+        focal: Standard deviation of the focal length, as a fraction of it.
+        principal_point: Standard deviation of each coordinate of the principal point, pixels.
+        k1: Standard deviation of the first radial distortion coefficient.
 
     Raises:
         CameraError: A value is negative or not finite.
@@ -44,23 +44,23 @@ class IntrinsicsSigma:
     def of_source(cls, source: str, size_wh: tuple[int, int]) -> IntrinsicsSigma:
         """Return the default for intrinsics from `source`, for an image of `size_wh` pixels.
 
-        `source` is that of a :class:`Camera`. The values are orders of magnitude, meant to be
-        overridden:
+        `source` is that of a :class:`Camera`. The values are orders of magnitude; override them if
+        better values are known:
 
         - ``given``, a calibration file and any other source: a calibration with a printed target
-          reaches 0.1 % of the focal length, 0.05 % of the longest side for the principal point and
+          achieves 0.1 % of the focal length, 0.05 % of the longest side for the principal point and
           0.002 for k1.
-        - EXIF focal length with the focal plane resolution or with the sensor's width: 3 %. The tag
-          is the nominal focal length at infinity, rounded; focusing and zooming change it by a few
-          per cent.
-        - EXIF 35 mm equivalent: 5 %. It is rounded to 1 mm (2 % at 26 mm, the wide camera of a
-          phone) and manufacturers relate it to the width or to the diagonal.
+        - EXIF focal length with the focal plane resolution or with the sensor width: 3 %. The tag
+          contains the rounded nominal focal length at infinity, and focusing and zooming change it
+          by a few per cent.
+        - EXIF 35 mm equivalent: 5 %. It is rounded to 1 mm (2 % at 26 mm, the wide-angle camera of
+          a phone), and manufacturers relate it to the width or to the diagonal.
         - ``guessed``: 30 %. The focal lengths of ordinary lenses range from 0.7 to 2 times the
           longest side.
 
-        Without a calibration the principal point is assumed in the image centre, which is right to
-        about 1 % of the longest side, and distortion is assumed to be zero; |k1| is about 0.05 for
-        phones and compact cameras, 0.1 for an unknown lens.
+        Without a calibration, the principal point is assumed to be in the centre of the image,
+        which is correct to about 1 % of the longest side. Distortion is assumed to be zero; |k1| is
+        about 0.05 for phones and compact cameras, and 0.1 for an unknown lens.
         """
         if source.startswith("guessed"):
             focal, point, k1 = 0.3, 0.01, 0.1
@@ -82,7 +82,7 @@ class Camera:
         distortion: (D,) float64 coefficients in OpenCV's order, zeros for none. For the model
             ``opencv`` up to 5, or 8, 12 or 14 numbers ``k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tx ty``
             (radial and tangential, rational, thin prism, tilt); the first 5, 8, 12 or 14 are
-            stored, the fewest that hold all non-zero ones. For ``fisheye`` the four numbers
+            stored, as few as contain all non-zero numbers. For ``fisheye``, the four numbers
             ``k1 k2 k3 k4`` of OpenCV's fisheye model (Kannala and Brandt 2006).
         source: Origin of the focal length: ``given``, ``exif: ...`` or ``guessed``.
         model: ``opencv`` or ``fisheye``; see :mod:`sfmkit.geometry.distortion`.
@@ -123,12 +123,12 @@ class Camera:
 
     @property
     def has_distortion(self) -> bool:
-        """Whether the camera is not an ideal pinhole; a fisheye never is one."""
+        """Whether the camera differs from an ideal pinhole; always true for a fisheye."""
         return self.model == "fisheye" or bool(np.any(self.distortion))
 
     @property
     def uncertainty(self) -> IntrinsicsSigma:
-        """The standard deviations of the intrinsics: `sigma`, or the default of `source`."""
+        """Standard deviations of the intrinsics: `sigma`, or the default for `source`."""
         return self.sigma or IntrinsicsSigma.of_source(self.source, self.size_wh)
 
     def scaled(self, size_wh: tuple[int, int]) -> Camera:

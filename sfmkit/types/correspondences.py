@@ -1,4 +1,4 @@
-"""The matches of all operators, fused into one set."""
+"""Fused matches of all operators."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ MAX_OPERATORS = 62  # one bit of an int64 mask per operator
 
 @dataclass(frozen=True)
 class OperatorCounts:
-    """What one operator put into a set of correspondences.
+    """The contribution of one operator to a set of correspondences.
 
     Attributes:
-        keypoints: Found in image 1 and image 2.
-        matches: After the operator's own matching.
-        merged: Of those, how many were merged into a coincident correspondence of another keypoint
-            or operator.
+        keypoints: Numbers of keypoints in image 1 and image 2.
+        matches: Number of matches of the operator before fusion.
+        merged: Number of these matches that were merged into a coincident correspondence of another
+            keypoint or operator.
     """
 
     keypoints: tuple[int, int]
@@ -37,14 +37,15 @@ class Correspondences:
 
     Attributes:
         x1, x2: (N, 2) float64 pixels in image 1 and image 2.
-        distance: (N,) float64 descriptor distance, comparable within one operator only.
-        ratio: (N,) float64 distance over second-best distance, NaN where unknown.
-        operator_id: (N,) int64 into `operators`; of a merged correspondence, the operator whose
-            position was kept.
-        operator_mask: (N,) int64; bit k is set when `operators[k]` found this correspondence.
+        distance: (N,) float64 descriptor distances, comparable only within one operator.
+        ratio: (N,) float64 ratios of the distance to the second-best distance; NaN if unknown.
+        operator_id: (N,) int64 indices into `operators`; for a merged correspondence, the operator
+            whose position was kept.
+        operator_mask: (N,) int64 bit masks; bit k is set if `operators[k]` found the
+            correspondence.
         index1, index2: (N,) int64 rows of the Features of `operator_id`.
-        operators: Names; bit and id k is `operators[k]`.
-        counts: Per operator, what it put in and lost so far.
+        operators: Names of the operators; bit k and id k refer to `operators[k]`.
+        counts: Per operator, the numbers of its keypoints, matches and merged matches.
     """
 
     x1: Tensor
@@ -88,11 +89,13 @@ class Correspondences:
         return f"Correspondences({len(self):,}: {per})"
 
     def found_by(self, operator: str) -> Tensor:
-        """(N,) bool: the correspondences that `operator` found, alone or with others."""
+        """Return which correspondences `operator` found, alone or with others, (N,) bool."""
         return ((self.operator_mask >> self.operators.index(operator)) & 1).bool()
 
     def take(self, index: Tensor) -> Correspondences:
-        """The correspondences at `index` (integers or a mask), in that order; the counts are
-        kept."""
+        """Return the correspondences at `index` (integers or a mask), in that order.
+
+        The counts do not change.
+        """
         rows = ("x1", "x2", "distance", "ratio", "operator_id", "operator_mask", "index1", "index2")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})

@@ -1,4 +1,4 @@
-"""The result of one operator on one image, and its matches between two images."""
+"""Features of one operator in one image, and matches between two images."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ Norm = Literal["l2", "hamming"]
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What one operator found in one image.
+    """Features that one operator found in one image.
 
     Attributes:
-        keypoints: (N, 2) float32 pixels of the full-size image, x right, y down, centre of the
-            top-left pixel (0, 0).
-        scales: (N,) float32 diameter of the described neighbourhood, pixels.
-        angles: (N,) float32 orientation in radians, from x towards y (clockwise on screen); 0 for
+        keypoints: (N, 2) float32 pixels of the full-size image: x right, y down, the centre of the
+            top-left pixel at (0, 0).
+        scales: (N,) float32 diameters of the described neighbourhoods, pixels.
+        angles: (N,) float32 orientations in radians, from x towards y (clockwise on screen); 0 for
             upright operators.
-        scores: (N,) float32 the detector's response; larger is stronger, comparable within one
-            operator only.
+        scores: (N,) float32 responses of the detector. Larger is stronger; scores are comparable
+            only within one operator.
         descriptors: (N, D) float32, or (N, bytes) uint8 of packed bits.
         norm: How descriptors are compared: ``l2`` or ``hamming``.
         operator: The operator's name.
         size_wh: Size of the image in pixels.
-        laplacian: (N,) int8 sign of the Laplacian (+1 dark blob on light, -1 light on dark) where
-            the operator knows it (SURF), else None. Features of different sign cannot match.
+        laplacian: (N,) int8 signs of the Laplacian (+1 dark blob on light, -1 light on dark) if the
+            operator computes them (SURF), otherwise None. Features of different sign cannot match.
     """
 
     keypoints: np.ndarray
@@ -74,7 +74,7 @@ class Features:
         )
 
     def take(self, index: np.ndarray) -> Features:
-        """The features at `index` (integers or a mask), in that order."""
+        """Return the features at `index` (integers or a mask), in that order."""
         rows = ("keypoints", "scales", "angles", "scores", "descriptors")
         taken = {name: getattr(self, name)[index] for name in rows}
         return replace(
@@ -84,13 +84,13 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """One operator's matches between two images, before fusion.
+    """Matches of one operator between two images, before fusion.
 
     Attributes:
         index1, index2: (M,) int64 rows of the two Features.
-        distance: (M,) float32 descriptor distance (L2, or number of differing bits).
-        ratio: (M,) float32 distance over the distance to the second-nearest neighbour in image 2
-            (in [0, 1]; NaN where it was not asked for).
+        distance: (M,) float32 descriptor distances (L2, or number of differing bits).
+        ratio: (M,) float32 ratios of the distance to that of the second-nearest neighbour in image
+            2, in [0, 1]; NaN if not computed.
     """
 
     index1: np.ndarray

@@ -11,8 +11,8 @@ V = TypeVar("V")
 class FrozenMapping(Mapping[str, V]):
     """An immutable copy of a mapping from names to values.
 
-    ``types.MappingProxyType`` can be neither pickled nor copied, which excludes a type that holds
-    one from ``multiprocessing``, ``joblib`` and ``copy.deepcopy``.
+    ``types.MappingProxyType`` can be neither pickled nor copied. A type with such a field cannot be
+    used with ``multiprocessing``, ``joblib`` and ``copy.deepcopy``.
     """
 
     __slots__ = ("_items",)

@@ -1,4 +1,4 @@
-"""The triangulated points."""
+"""Triangulated points with their provenance and accuracy."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class PointCloud:
     """Triangulated points in the frame of camera 1, in units of the baseline.
 
     Attributes:
-        xyz: (M, 3) float64, x right, y down, z forward.
-        rgb: (M, 3) uint8, from image 1.
-        operator_id, operator_mask: (M,) int64 as in :class:`Correspondences`.
-        operators: Names.
-        reprojection_error: (M,) float64 root mean square over the two images, pixels.
-        parallax: (M,) float64 angle between the two rays, degrees.
-        match: (M,) int64 row of the Correspondences that a point came from.
-        covariance: (M, 3, 3) float64 in squared baselines, None where not computed.
+        xyz: (M, 3) float64 positions: x right, y down, z forward.
+        rgb: (M, 3) uint8 colours from image 1.
+        operator_id, operator_mask: (M,) int64, as in :class:`Correspondences`.
+        operators: Names of the operators.
+        reprojection_error: (M,) float64 root mean square error over the two images, pixels.
+        parallax: (M,) float64 angles between the two rays, degrees.
+        match: (M,) int64 rows of the Correspondences from which the points were triangulated.
+        covariance: (M, 3, 3) float64 covariances in squared baselines, None if not computed.
     """
 
     xyz: Tensor
@@ -56,5 +56,5 @@ class PointCloud:
         return f"PointCloud({len(self):,} points from {', '.join(self.operators)})"
 
     def found_by(self, operator: str) -> Tensor:
-        """(M,) bool: the points that `operator` found, alone or with others."""
+        """Return which points `operator` found, alone or with others, (M,) bool."""
         return ((self.operator_mask >> self.operators.index(operator)) & 1).bool()

@@ -16,7 +16,7 @@ from .frozen_mapping import FrozenMapping
 
 
 class Verdict(StrEnum):
-    """What the correspondences turned out to show.
+    """The kind of geometry that the correspondences support.
 
     An ambiguous geometry has a pose, which is one of several that the matches support.
     """
@@ -30,13 +30,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """A model that was the best so far.
+    """A model that was the best one so far during a robust search.
 
     Attributes:
-        iteration: Minimal samples tried by then.
-        model: (3, 3).
-        inliers: How many of the matches it was scored on agree with it.
-        score: Its mean score per match it was scored on, in [0, 1].
+        iteration: Number of minimal samples drawn so far.
+        model: (3, 3) matrix.
+        inliers: Number of matches that agree with the model, among those it was scored on.
+        score: Mean score of these matches, in [0, 1].
         stage: ``sample``, ``local optimisation`` or ``refinement``.
     """
 
@@ -49,32 +49,34 @@ class Improvement:
 
 @dataclass(frozen=True, eq=False)
 class TwoView:
-    """The geometry of two views: how camera 2 stands to camera 1, ``X2 = R X1 + t``.
+    """The geometry of two views: the pose of camera 2 with respect to camera 1.
+
+    The pose maps the frame of camera 1 to that of camera 2, ``X2 = R X1 + t``.
 
     Attributes:
         camera1, camera2: The cameras.
         inliers: (N,) bool over the correspondences.
         verdict: General, planar, pure rotation, ambiguous or too little evidence.
         reason: The verdict in words.
-        evidence: The numbers the verdict rests on.
-        R: (3, 3) rotation, None without a trustworthy one.
-        t: (3,) unit translation, None where unknown (pure rotation) or untrustworthy.
-        E, F, H: (3, 3) essential, fundamental (pixels), homography (pixels) where estimated, else
-            None.
-        pose_covariance: (5, 5) covariance of (rotation vector, radians; translation direction on
-            its tangent plane, radians), None where not computed.
-        sigma_deg: Standard deviation of rotation and translation direction, degrees, from
-            `pose_covariance`.
-        sigma_parts_deg: What each part of the uncertainty (``pixel noise``, ``image regions``,
-            ``cameras``) alone gives for `sigma_deg`; see
-            :mod:`sfmkit.estimation.pose_uncertainty`. Empty where not computed.
-        alternatives: Other poses (R, t) that explain the matches as well: a plane seen twice
-            usually allows two, and repeated texture allows copies.
+        evidence: The numbers on which the verdict is based.
+        R: (3, 3) rotation; None for too little evidence.
+        t: (3,) translation of unit length; None for a pure rotation or too little evidence.
+        E, F, H: (3, 3) essential matrix, fundamental matrix (pixels) and homography (pixels); None
+            if not estimated.
+        pose_covariance: (5, 5) covariance of the rotation vector in radians and of the direction of
+            the translation in its tangent plane in radians; None if not computed.
+        sigma_deg: Standard deviations of the rotation and of the direction of the translation in
+            degrees, from `pose_covariance`.
+        sigma_parts_deg: The same for each part of the uncertainty alone (``pixel noise``,
+            ``image regions``, ``cameras``); see :mod:`sfmkit.estimation.pose_uncertainty`. Empty if
+            not computed.
+        alternatives: Other poses (R, t) that explain the matches as well: a plane usually permits
+            two, and repeated texture permits further ones.
         witnesses: Operator -> log10 of the probability that so many of its matches agree by chance
-            with the pose that the other operators determine; empty where not computed.
-        history: How the robust search improved, oldest first; empty where the back end does not
-            say. Its models are E, in normalised coordinates, or F, in pixels, whichever was
-            estimated.
+            with the pose that the other operators determine; empty if not computed.
+        history: Improvements of the robust search, oldest first; empty if the back end does not
+            report them. The models are E in normalised coordinates or F in pixels, depending on
+            what was estimated.
     """
 
     camera1: Camera

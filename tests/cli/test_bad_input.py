@@ -1,5 +1,4 @@
-"""Every kind of bad input to the command: a clear message, the right exit status, nothing
-half-written."""
+"""Bad input to the commands: a clear message, the right exit status, no incomplete output."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_an_inlier_is_found_from_its_own_pixel_with_its_point(result):
 def test_nothing_near_is_said(result):
     view = EpipolarExplorer(result, reach_px=1e-6).look((10.0, 10.0))
     assert view.match is view.X is view.residual_px is None
-    assert "no inlying match" in view.describe()
+    assert "no inlier" in view.describe()
 
 
 def test_selections_of_the_viewer_become_pixels(result):
