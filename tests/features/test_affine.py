@@ -1,5 +1,4 @@
-"""Simulated viewpoints: positions are those of the image, and a strong tilt is matched that plain
-SIFT cannot match."""
+"""Simulated viewpoints: positions, and a strong tilt that plain SIFT cannot match."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ def test_views_and_their_maps():
         assert mask.mean() / 255 == pytest.approx(400 * 320 / t / image.size, abs=0.03)
 
 
-def test_a_blob_keeps_its_place_in_every_view():
+def test_the_position_of_a_blob_is_correct_in_every_view():
     grey = np.full((200, 240), 60, np.uint8)
     cv2.circle(grey, (130, 90), 9, 220, -1, cv2.LINE_AA)
     grey = cv2.GaussianBlur(grey, (0, 0), 1.5)

@@ -1,4 +1,4 @@
-"""Options of operators: accepted at both ends of their bounds, refused beyond them."""
+"""Options of operators are accepted at both ends of their bounds and rejected beyond them."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_every_part_and_every_number_has_bounds():
 
 
 @pytest.mark.parametrize("name", OPERATORS)
-def test_beyond_the_bounds_is_refused_before_the_work(name):
+def test_values_beyond_the_bounds_are_rejected_before_the_work(name):
     spec = find_spec(name.removeprefix("affine-"))
     for option, default in OPERATOR_PLUGINS.options(name).items():
         if isinstance(default, bool):
@@ -117,7 +117,7 @@ def test_beyond_the_bounds_is_refused_before_the_work(name):
                 detect(IMAGE, name, **{option: value})
 
 
-def test_what_crashed_and_what_never_ended():
+def test_values_that_made_opencv_crash_or_hang_are_rejected():
     for name, option, value in (
         ("gftt-brief", "minDistance", 2**31 - 1),
         ("harris-brief", "minDistance", 2**31 - 1),

@@ -26,7 +26,7 @@ def some_features(n: int = 20) -> Features:
     )
 
 
-def test_features_come_back_from_their_lafs():
+def test_lafs_convert_back_to_features():
     f = some_features()
     keypoints, scales, angles = keypoints_from_lafs(lafs_from_features(f))
     np.testing.assert_allclose(keypoints, f.keypoints, rtol=1e-6)

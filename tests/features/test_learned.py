@@ -1,4 +1,4 @@
-"""ALIKED, DISK and XFeat against kornia's own loaders, under translation, and with bad input."""
+"""ALIKED, DISK and XFeat compared with kornia's loaders, under translation, and on bad input."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ NAMES = list(LEARNED)
 
 @pytest.fixture(scope="module")
 def photo(demo_images):
-    """Part of the bundled photograph, (256, 320, 3); its sides are multiples of every stride."""
+    """Return a part of the bundled photograph, (256, 320, 3); the sides are multiples of 32."""
     return np.ascontiguousarray(read_image(demo_images[0]).rgb[200:456, 300:620])
 
 
 @pytest.fixture
 def kornia_cache(tmp_path, monkeypatch):
-    """The folder in which kornia looks for its weights, filled with the files that sfmkit found."""
+    """Fill the folder in which kornia looks for its weights with the files that sfmkit found."""
     folder = tmp_path / "checkpoints"
     folder.mkdir()
     for name, file in WEIGHTS.items():
@@ -37,7 +37,7 @@ def kornia_cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_aliked_is_what_kornia_loads_itself(photo, kornia_cache):
+def test_aliked_agrees_with_kornias_own_loader(photo, kornia_cache):
     from kornia.feature import ALIKED
 
     model = ALIKED.from_pretrained("aliked-n16", 300, 0.01)
@@ -49,7 +49,7 @@ def test_aliked_is_what_kornia_loads_itself(photo, kornia_cache):
     np.testing.assert_allclose(found.descriptors, expected.descriptors, atol=1e-4)
 
 
-def test_disk_is_what_kornia_loads_itself(photo, kornia_cache):
+def test_disk_agrees_with_kornias_own_loader(photo, kornia_cache):
     from kornia.feature import DISK
 
     with torch.inference_mode():
@@ -61,7 +61,7 @@ def test_disk_is_what_kornia_loads_itself(photo, kornia_cache):
 
 
 @pytest.mark.parametrize("cut_wh", [(0, 0), (10, 6)])
-def test_xfeat_is_what_kornia_loads_itself(photo, kornia_cache, cut_wh):
+def test_xfeat_agrees_with_kornias_own_loader(photo, kornia_cache, cut_wh):
     from kornia.feature import XFeat
 
     h, w = np.subtract(photo.shape[:2], cut_wh[::-1])
@@ -78,7 +78,7 @@ def test_xfeat_is_what_kornia_loads_itself(photo, kornia_cache, cut_wh):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_features_obey_the_contract(photo, name):
+def test_features_fulfil_the_contract(photo, name):
     found = detect(photo, name, top_k=200)
     assert 100 < len(found) <= 200
     assert found.operator == name
@@ -128,12 +128,12 @@ def test_tiny_and_uniform_images_give_few_or_no_features(name):
         {"x": 1},
     ],
 )
-def test_bad_options_are_refused(photo, options):
+def test_bad_options_are_rejected(photo, options):
     with pytest.raises(InputError, match=next(iter(options))):
         detect(photo, "aliked", **options)
 
 
-def test_missing_weights_are_named_with_a_way_to_get_them(monkeypatch, tmp_path, photo):
+def test_the_message_about_missing_weights_states_how_to_get_them(monkeypatch, tmp_path, photo):
     import sfmkit.features.weights as weights
 
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
@@ -151,7 +151,7 @@ def _none_installed(name):
     raise PackageNotFoundError(name)
 
 
-def test_a_folder_of_ones_own_comes_first_and_is_checked(monkeypatch, tmp_path):
+def test_a_folder_of_the_user_has_precedence_and_is_checked(monkeypatch, tmp_path):
     (tmp_path / "xfeat.pt").write_bytes(b"not weights")
     monkeypatch.setenv("SFMKIT_WEIGHTS", str(tmp_path))
     assert find_weights("xfeat") == tmp_path / "xfeat.pt"

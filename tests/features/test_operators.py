@@ -1,5 +1,4 @@
-"""Feature operators against OpenCV itself, against known positions, and on images that ask for
-trouble."""
+"""Feature operators compared with OpenCV and known positions, and on difficult images."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ contrib = cv2.xfeatures2d
 
 
 def texture(height: int = 300, width: int = 400, seed: int = 0) -> np.ndarray:
-    """(H, W) uint8 with corners, blobs and edges of many sizes."""
+    """Draw an (H, W) uint8 image with corners, blobs and edges of many sizes."""
     rng = np.random.default_rng(seed)
     image = np.zeros((height, width), np.float32)
     for cell, weight in ((64, 40.0), (24, 35.0), (9, 30.0), (4, 12.0)):
@@ -42,7 +41,7 @@ def texture(height: int = 300, width: int = 400, seed: int = 0) -> np.ndarray:
 def blobs(
     height: int, width: int, sigma: float, n: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gaussian blobs at known centres (n, 2), between pixels."""
+    """Draw Gaussian blobs at known centres (n, 2) between pixels."""
     rng = np.random.default_rng(seed)
     step = int(14 * sigma)
     cells = [
@@ -57,7 +56,7 @@ def blobs(
 
 
 def nearest(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """(n, 2) difference of the nearest found point to every true one."""
+    """Return the difference (n, 2) of the nearest detected point from every true point."""
     return found[cKDTree(found).query(true)[1]].astype(float) - true
 
 
@@ -100,7 +99,7 @@ COMPOSED = (
 
 
 @pytest.mark.parametrize("name", [*OPERATORS, *COMPOSED])
-def test_every_operator_gives_sound_features_and_the_same_bits_again(name, image):
+def test_every_operator_gives_valid_and_reproducible_features(name, image):
     if not available(name)[0]:
         pytest.skip(f"{name}: {available(name)[1]}")
     spec = find_spec(name)
@@ -123,7 +122,7 @@ def test_every_operator_gives_sound_features_and_the_same_bits_again(name, image
 
 
 @pytest.mark.parametrize("name", ["sift", "orb", "akaze", "kaze", "brisk"])
-def test_native_operators_are_opencv_to_the_bit(name, image):
+def test_native_operators_are_bitwise_equal_to_opencv(name, image):
     settings = {k: v for k, v in OPERATORS[name].options.items() if k != "subpixel"}
     create = getattr(cv2, f"{name.upper()}_create", None) or getattr(
         contrib, f"{name.upper()}_create"
@@ -148,7 +147,7 @@ def test_native_operators_are_opencv_to_the_bit(name, image):
         ("fast+daisy", cv2.FastFeatureDetector_create, contrib.DAISY_create),
     ],
 )
-def test_pairs_are_opencv_to_the_bit(name, detector, descriptor, image):
+def test_pairs_are_bitwise_equal_to_opencv(name, detector, descriptor, image):
     keypoints, descriptors = descriptor().compute(image, detector().detect(image))
     f = detect(image, name, preset="paper")
     np.testing.assert_array_equal(f.keypoints, cv_arrays(keypoints)[0])
@@ -181,7 +180,7 @@ def test_the_paper_settings():
     assert OPERATORS["fast-brief"].paper == {"subpixel": False}
 
 
-def test_dense_halves_the_least_contrast_and_finds_more(image):
+def test_dense_halves_the_minimum_contrast_and_finds_more_keypoints(image):
     assert OPERATORS["surf"].dense == {"hessian_threshold": 15.0}
     assert OPERATORS["orb"].dense == {"nfeatures": 70_000, "fastThreshold": 4}
     assert OPERATORS["fast-brief"].dense == {"threshold": 5}
@@ -191,7 +190,7 @@ def test_dense_halves_the_least_contrast_and_finds_more(image):
         detect(image, "orb", preset="sparse")
 
 
-def test_rootsift_is_the_square_root_of_sift_and_its_product_is_hellingers(image):
+def test_rootsift_is_the_square_root_of_sift_and_its_product_the_hellinger_kernel(image):
     sift, root = detect(image, "sift"), detect(image, "rootsift")
     np.testing.assert_array_equal(sift.keypoints, root.keypoints)
     p = sift.descriptors.astype(np.float64)
@@ -221,7 +220,7 @@ def test_rootsift_is_the_square_root_of_sift_and_its_product_is_hellingers(image
         ("gftt+latch", {"oriented": True}),
     ],
 )
-def test_a_quarter_turn_turns_keypoints_and_orientations(name, options):
+def test_a_rotation_by_90_degrees_rotates_keypoints_and_orientations(name, options):
     image = texture(384, 384)
     turned = np.ascontiguousarray(
         np.rot90(image, -1)
@@ -263,12 +262,12 @@ def test_upright_operators_do_not_follow_a_rotation():
 
 @pytest.mark.parametrize("name", ["sift", "akaze", "kaze"])
 @pytest.mark.parametrize("max_size", [None, 400, 317])
-def test_blobs_are_found_where_they_are_at_every_working_size(name, max_size):
+def test_positions_of_blobs_are_correct_at_every_working_size(name, max_size):
     image, centres = blobs(420, 600, sigma=6, n=30)
     f = detect(image, name, max_size=max_size)
     error = nearest(f.keypoints, centres)
     found = np.hypot(*error.T) < 1
-    assert found.mean() > 0.6  # SIFT overlooks some blobs whose scale lies between two octaves
+    assert found.mean() > 0.6  # SIFT misses some blobs whose scale lies between two octaves
     assert np.abs(error[found].mean(axis=0)).max() < 0.04
     assert np.abs(error[found]).max() < 0.1
 
@@ -284,9 +283,8 @@ def test_scales_do_not_depend_on_the_working_size():
 
 
 @pytest.mark.parametrize("name", ["fast-brief", "harris-brief", "gftt-brief", "orb", "sift"])
-def test_no_operator_prefers_a_side(name):
-    """A half turn of the image must turn the keypoints about the same centre: twice any bias would
-    remain."""
+def test_no_operator_has_a_position_bias(name):
+    """Rotate the image by 180 degrees about its centre, which doubles any bias."""
     image = texture(411, 533)  # sizes that the pyramid does not divide
     half_turn = np.ascontiguousarray(image[::-1, ::-1])
     f, g = detect(image, name), detect(half_turn, name)
@@ -296,7 +294,7 @@ def test_no_operator_prefers_a_side(name):
     assert np.abs(difference[near].mean(axis=0)).max() < 0.05
 
 
-def test_orb_as_opencv_gives_it_is_biased_so_the_test_above_can_fail():
+def test_the_test_of_the_position_bias_detects_that_of_opencvs_orb():
     image = texture(411, 533)
     half_turn = np.ascontiguousarray(image[::-1, ::-1])
     f, g = detect(image, "orb", subpixel=False), detect(half_turn, "orb", subpixel=False)
@@ -304,14 +302,14 @@ def test_orb_as_opencv_gives_it_is_biased_so_the_test_above_can_fail():
     assert np.abs(difference[np.hypot(*difference.T) < 1.5].mean(axis=0)).max() > 0.1
 
 
-def test_fast_score_is_opencvs(image):
+def test_the_fast_score_agrees_with_opencv(image):
     keypoints = cv2.FastFeatureDetector_create(5, nonmaxSuppression=True).detect(image)
     xy = np.array([k.pt for k in keypoints], int)
     score = fast_score(image, xy[:, 0], xy[:, 1])
     np.testing.assert_array_equal(score - 1, [k.response for k in keypoints])
 
 
-def test_paraboloid_top_finds_the_vertex_and_keeps_still_where_there_is_none():
+def test_paraboloid_top_finds_the_vertex_and_returns_zero_without_one():
     y, x = np.mgrid[-1:2, -1:2]
     vertex = np.array([[-0.4, 0.2], [0.0, 0.0], [0.3, -0.1]])
     values = [
@@ -357,7 +355,7 @@ def test_subpixel_follows_a_shift_of_half_a_pixel(name, options):
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["fast-brief", "gftt-brief", "harris-brief", "orb"])
-def test_subpixel_brings_real_matches_closer_to_the_true_epipolar_lines(name, data_dir):
+def test_subpixel_reduces_the_distance_of_real_matches_from_the_true_epipolar_lines(name, data_dir):
     folder = data_dir / "strecha" / "fountain-P11"
     images = [
         cv2.imread(str(folder / "images" / f"000{i}.jpg"), cv2.IMREAD_GRAYSCALE) for i in (0, 1)
@@ -471,7 +469,7 @@ def test_images_40_000_pixels_wide_slow_operators(name):
         (np.zeros((2, 4, 4, 3), np.uint8), "H, W"),
     ],
 )
-def test_unusable_images_are_refused(bad, hint):
+def test_unusable_images_are_rejected(bad, hint):
     with pytest.raises(InputError, match=hint):
         detect(bad, "orb")
 
@@ -480,7 +478,7 @@ def test_unusable_images_are_refused(bad, hint):
 
 
 @pytest.mark.parametrize("name", ["orb", "fast-brief", "sift"])
-def test_budget_is_kept_and_chooses_from_the_same_features(name, image):
+def test_the_budget_selects_from_the_same_features(name, image):
     everything, few = detect(image, name), detect(image, name, budget=50)
     assert len(few) == 50
     every = {
@@ -490,7 +488,7 @@ def test_budget_is_kept_and_chooses_from_the_same_features(name, image):
     assert len(detect(image, name, budget=10**6)) == len(everything)
 
 
-def test_mask_keeps_what_it_covers_and_nothing_else(image):
+def test_the_mask_keeps_only_the_keypoints_that_it_covers(image):
     mask = np.zeros(image.shape, np.uint8)
     mask[50:200, 80:300] = 255
     everything = detect(image, "sift")
@@ -531,7 +529,7 @@ def test_mask_keeps_what_it_covers_and_nothing_else(image):
         ({"patchSize": 0}, "from 2 to 255"),
     ],
 )
-def test_bad_options_are_refused_with_what_to_do(options, hint, image):
+def test_messages_about_bad_options_state_the_correction(options, hint, image):
     with pytest.raises(InputError, match=hint):
         detect(image, "orb", **options)
 
@@ -565,12 +563,12 @@ def test_options_reach_detector_and_descriptor(image):
         ("+", "unknown"),
     ],
 )
-def test_names_that_are_not_operators(name, hint, image):
+def test_unknown_names_are_rejected(name, hint, image):
     with pytest.raises(OperatorError, match=hint):
         detect(image, name)
 
 
-def test_every_pair_of_the_two_tables_resolves_or_says_why():
+def test_every_pair_of_the_two_tables_is_available_or_has_a_reason():
     fits = 0
     for detector in DETECTORS:
         for descriptor in DESCRIPTORS:
@@ -603,7 +601,7 @@ def test_the_table_of_operators():
     assert asdict(rows["orb"])["norm"] == "hamming"
 
 
-def test_an_opencv_without_contrib_is_noticed_with_the_repair(monkeypatch, image):
+def test_an_opencv_without_contrib_is_detected_and_the_repair_is_stated(monkeypatch, image):
     monkeypatch.delattr(cv2, "xfeatures2d")
     assert available("sift") == (True, "")
     for name in ("akaze", "fast-brief"):
@@ -615,7 +613,7 @@ def test_an_opencv_without_contrib_is_noticed_with_the_repair(monkeypatch, image
             detect(image, name)
 
 
-def test_threads_side_by_side_change_nothing(image):
+def test_parallel_threads_do_not_change_the_result(image):
     other = texture(seed=1)
     jobs = [
         (im, name)

@@ -1,5 +1,4 @@
-"""Even selection against its definition, computed the slow way, and against the strongest-first
-choice."""
+"""Even selection compared with its definition and with the strongest keypoints."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ def radii_by_definition(points: np.ndarray, scores: np.ndarray, robustness: floa
 def test_radii_are_the_distance_to_the_nearest_clearly_stronger_one(
     n, levels, grid, robustness, seed
 ):
-    """With ties in strength (few levels) and in place (a coarse grid)."""
+    """The keypoints have ties in strength (few levels) and position (a coarse grid)."""
     rng = np.random.default_rng(seed)
     points = rng.integers(0, grid, (n, 2)) * (600.0 / grid)
     scores = rng.integers(0, levels, n).astype(float)
@@ -46,7 +45,7 @@ def test_radii_are_the_distance_to_the_nearest_clearly_stronger_one(
 
 
 @pytest.mark.parametrize("score", [0.0, 1.0, -3.0])
-def test_keypoints_of_one_strength_are_spread_all_the_same(score):
+def test_keypoints_of_equal_strength_are_spread_too(score):
     """A detector without a response (MSER) must not lose the rows that come last."""
     points = np.random.default_rng(0).uniform((0, 0), SIZE, (2000, 2))
     points = points[np.argsort(points[:, 0])]
@@ -55,7 +54,7 @@ def test_keypoints_of_one_strength_are_spread_all_the_same(score):
 
 
 def crowded(n: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Strong keypoints in one corner, weaker ones everywhere."""
+    """Return strong keypoints in one corner and weaker ones everywhere."""
     rng = np.random.default_rng(0)
     corner = rng.uniform((0, 0), (150, 150), (n // 2, 2))
     rest = rng.uniform((0, 0), SIZE, (n // 2, 2))
@@ -65,12 +64,12 @@ def crowded(n: int = 4000) -> tuple[np.ndarray, np.ndarray]:
 
 
 def coverage(points: np.ndarray) -> float:
-    """Share of 40 x 40 pixel cells that hold a point."""
+    """Return the share of cells of 40 x 40 pixels that contain a point."""
     cells = (points // 40).astype(int)
     return len(np.unique(cells, axis=0)) / (20 * 15)
 
 
-def test_selection_covers_the_image_where_strongest_first_does_not():
+def test_the_selection_covers_more_of_the_image_than_the_strongest_keypoints():
     points, scores = crowded()
     even = select_evenly(points, scores, 300, SIZE)
     strongest = np.argsort(-scores)[:300]
@@ -79,11 +78,11 @@ def test_selection_covers_the_image_where_strongest_first_does_not():
     assert np.argmax(scores) in even
     away = (
         points[:, 0] > 200
-    )  # where scores are uniform between 1 and 5, the choice is of strong ones
+    )  # for scores that are uniform between 1 and 5, strong keypoints are selected
     assert scores[even][away[even]].mean() > scores[away].mean() + 0.5
 
 
-def test_selection_is_exact_in_number_ascending_and_repeatable():
+def test_the_selection_has_the_exact_number_is_ascending_and_reproducible():
     points, scores = crowded()
     chosen = select_evenly(points, scores, 777, SIZE)
     assert len(chosen) == len(set(chosen.tolist())) == 777
@@ -113,15 +112,17 @@ def test_selection_does_not_depend_on_the_order_of_the_input():
         (np.full((3, 2), 900.0), np.zeros(3), 1, "outside"),
     ],
 )
-def test_bad_input_is_refused(points, scores, budget, hint):
+def test_bad_input_is_rejected(points, scores, budget, hint):
     with pytest.raises(InputError, match=hint):
         select_evenly(points, scores, budget, SIZE)
 
 
 @pytest.mark.parametrize("kind", ["random", "constant", "ramp"])
-def test_the_cost_does_not_depend_on_how_strengths_lie(kind):
-    """50,000 keypoints take a quarter of a second; looking through neighbours takes 30 s on a
-    ramp."""
+def test_the_time_does_not_depend_on_the_distribution_of_strengths(kind):
+    """Measure 50,000 keypoints on a ramp.
+
+    The selection takes a quarter of a second; a search through the neighbours takes 30 s.
+    """
     rng = np.random.default_rng(0)
     points = rng.uniform((0, 0), (3072, 2048), (50_000, 2))
     scores = {"random": rng.random(50_000), "constant": np.ones(50_000), "ramp": points[:, 0]}[kind]

@@ -1,5 +1,4 @@
-"""SURF against what OpenCV's C++ finds, and on images whose blobs, gradients and symmetries are
-known."""
+"""SURF compared with OpenCV, and on images with known blobs, gradients and symmetries."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ REFERENCES = {
 
 
 def texture(height: int = 240, width: int = 320, seed: int = 0) -> np.ndarray:
-    """(H, W) uint8 smooth noise of several scales, with blobs of all sizes and no symmetry."""
+    """Draw (H, W) uint8 smooth noise of several scales, with blobs of all sizes, no symmetry."""
     rng = np.random.default_rng(seed)
     image = sum(
         40
@@ -48,7 +47,7 @@ def blob(x: float, y: float, sigma: float, peak: float = 120, size: int = 200) -
 
 
 def partners(xy, size, others, other_sizes) -> np.ndarray:
-    """Nearest other keypoint within 1 px and 10 % of size, or -1."""
+    """Return the nearest other keypoint within 1 px and 10 % of the size, or -1."""
     distance, index = cKDTree(others).query(xy, k=8, distance_upper_bound=1.0)
     sizes = np.append(other_sizes, np.inf)[index]
     fits = np.isfinite(distance) & (np.abs(sizes - size[:, None]) <= 0.1 * size[:, None])
@@ -56,14 +55,14 @@ def partners(xy, size, others, other_sizes) -> np.ndarray:
 
 
 def turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle from a to b, radians in [-pi, pi)."""
+    """Return the angle from a to b in radians, in [-pi, pi)."""
     return (b - a + np.pi) % (2 * np.pi) - np.pi
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("threshold", [30, 400])
 @pytest.mark.parametrize("name", REFERENCES)
-def test_finds_and_describes_what_opencv_does(data_dir, name, threshold):
+def test_surf_agrees_with_opencv(data_dir, name, threshold):
     image = cv2.imread(str(data_dir / REFERENCES[name]), cv2.IMREAD_GRAYSCALE)
     if name.endswith("half"):
         image = cv2.resize(
@@ -89,8 +88,10 @@ def test_finds_and_describes_what_opencv_does(data_dir, name, threshold):
 
 
 def best_lobe(sigma: float) -> float:
-    """Width k of the lobes, k x 5k/3, whose Dxx is largest on a Gaussian blob, in closed form:
-    there Dxx = Dyy."""
+    """Return the width k of the lobes, k x 5k/3, with the largest Dxx on a Gaussian blob.
+
+    The closed form follows from Dxx = Dyy.
+    """
     k = np.linspace(1, 8 * sigma, 4000)
     middle, three = erf(k / 2 / np.sqrt(2) / sigma), erf(3 * k / 2 / np.sqrt(2) / sigma)
     height = erf(5 * k / 6 / np.sqrt(2) / sigma) / k
@@ -108,7 +109,7 @@ def test_blob_is_found_at_its_centre_scale_and_sign(x, y, sigma, peak, sign):
 
 
 def _box(size: int, kind: str) -> np.ndarray:
-    """The box filters of Bay et al. (2008), figure 2, drawn in full."""
+    """Draw the box filters of Bay et al. (2008), figure 2."""
     k, kernel = size // 3, np.zeros((size, size))
     if kind == "xx":
         a, b = round(2 * size / 9), round(7 * size / 9)
@@ -121,9 +122,11 @@ def _box(size: int, kind: str) -> np.ndarray:
     return kernel
 
 
-def test_maxima_are_those_of_a_plain_search():
-    """Every octave, with filters written out in full and a search that looks at each sample in
-    turn."""
+def test_maxima_agree_with_a_plain_search():
+    """Compare every octave with a plain implementation.
+
+    It has complete filters and a search that visits each sample in turn.
+    """
     image = texture(150, 170, seed=3)
     found = fast_hessian(torch.from_numpy(cv2.integral(image)), 50.0, 2, 3)
     plain = []
@@ -165,8 +168,10 @@ def test_maxima_are_those_of_a_plain_search():
 
 
 def _newton(cube: np.ndarray) -> np.ndarray:
-    """Offset (x, y, scale) to the peak of the quadratic with the central differences of `cube`
-    (scale, y, x)."""
+    """Return the offset (x, y, scale) of the maximum of the quadratic through `cube`.
+
+    The quadratic has the central differences of `cube` (scale, y, x).
+    """
     unit = np.eye(3, dtype=int)[::-1]
 
     def at(v: np.ndarray) -> float:
@@ -196,13 +201,13 @@ def test_orientation_is_the_direction_of_a_gradient(degrees):
     assert abs(turn(angle.numpy(), a)) < np.radians(3)
 
 
-def test_quarter_turns_keep_descriptors_and_turn_angles():
+def test_rotations_by_90_degrees_change_angles_but_not_descriptors():
     image = texture()
     one, two = (
         surf(image, hessian_threshold=200),
         surf(np.rot90(image).copy(), hessian_threshold=200),
     )
-    # rot90 takes (x, y) to (y, W - 1 - x): a direction loses a quarter turn.
+    # rot90 maps (x, y) to (y, W - 1 - x): directions are reduced by 90 degrees.
     moved = np.stack([one.keypoints[:, 1], image.shape[1] - 1 - one.keypoints[:, 0]], 1)
     there = partners(moved, one.scales, two.keypoints, two.scales)
     pair, there = there >= 0, there[there >= 0]
@@ -211,14 +216,14 @@ def test_quarter_turns_keep_descriptors_and_turn_angles():
     assert np.median((one.descriptors[pair] * two.descriptors[there]).sum(1)) > 0.99
 
 
-def test_a_rotation_turns_angles_and_keeps_descriptors():
+def test_a_rotation_changes_angles_but_not_descriptors():
     image, degrees = texture(seed=4), 33
     A = cv2.getRotationMatrix2D((160, 120), degrees, 1)  # anticlockwise on screen
     turned = cv2.warpAffine(image, A, (320, 240), flags=cv2.INTER_CUBIC)
     one, two = surf(image, hessian_threshold=400), surf(turned, hessian_threshold=400)
     two = two.take(
         np.hypot(*(two.keypoints - (160, 120)).T) < 70
-    )  # nothing from outside the picture
+    )  # no pixels from outside the image
     there = partners(two.keypoints, two.scales, one.keypoints @ A[:, :2].T + A[:, 2], one.scales)
     pair, there = there >= 0, there[there >= 0]
     assert pair.mean() > 0.45  # box filters are not isotropic
@@ -228,8 +233,8 @@ def test_a_rotation_turns_angles_and_keeps_descriptors():
     assert np.median((one.descriptors[there] * two.descriptors[pair]).sum(1)) > 0.98
 
 
-def test_descriptor_is_the_sums_of_gradients_in_its_cells():
-    """A ramp: every cell holds sum dx = sum |dx| = its Gaussian weight, and no dy."""
+def test_the_descriptor_contains_the_sums_of_gradients_in_its_cells():
+    """On a ramp, every cell has sum dx = sum |dx| = its Gaussian weight, and no dy."""
     v, u = np.mgrid[:201, :201]
     ramp = np.rint(20 + u).astype(np.uint8)
     d = describe(ramp, np.array([[100.0, 100.0]]), np.array([30.0]), np.zeros(1))[0].reshape(
@@ -271,7 +276,7 @@ def test_upright_leaves_angles_at_zero():
     assert np.median((upright.descriptors * turned.descriptors).sum(1)) < 0.9
 
 
-def test_describe_gives_what_surf_gives():
+def test_describe_agrees_with_surf():
     image = texture()
     f = surf(image)
     for angles in (None, f.angles):
@@ -285,7 +290,7 @@ def test_describe_gives_what_surf_gives():
     )
 
 
-def test_describe_takes_keypoints_anywhere_and_none():
+def test_describe_accepts_keypoints_anywhere_and_no_keypoints():
     image = texture(60, 80)
     xy = np.array([[0, 0], [79, 59], [-30, 500], [40, 30]], dtype=np.float32)
     d = describe(image, xy, np.array([7, 300, 20, 1e-3], dtype=np.float32))
@@ -306,7 +311,7 @@ def test_describe_takes_keypoints_anywhere_and_none():
     ids=["1x1", "flat strip", "blank", "smaller than the filters", "narrow"],
 )
 @pytest.mark.parametrize("extended", [False, True])
-def test_nothing_to_find(image, extended):
+def test_uniform_images_have_no_keypoints(image, extended):
     f = surf(image, hessian_threshold=0 if image.std() == 0 else 30, extended=extended)
     assert len(f) == 0
     assert f.descriptors.shape == (0, 128 if extended else 64)
@@ -315,7 +320,7 @@ def test_nothing_to_find(image, extended):
     assert f.size_wh == image.shape[::-1]
 
 
-def test_small_images_go_without_the_large_octaves():
+def test_small_images_omit_the_large_octaves():
     image = texture(60, 300)
     f = surf(image, hessian_threshold=1)
     assert len(f)
@@ -372,7 +377,7 @@ def test_bad_input_is_named(call):
         call()
 
 
-def test_strips_and_threads_change_nothing():
+def test_strips_and_threads_do_not_change_the_result():
     image = texture(120, 210)
     integral = torch.from_numpy(cv2.integral(image))
     whole = fast_hessian(integral, 30.0, 4, 3, strip=1 << 30)
@@ -392,14 +397,14 @@ def test_strips_and_threads_change_nothing():
         torch.set_num_threads(before)
 
 
-def test_twice_the_same():
+def test_the_result_is_reproducible():
     one, two = surf(texture()), surf(texture())
     for name in ("keypoints", "scales", "angles", "scores", "descriptors", "laplacian"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 @pytest.mark.cuda
-def test_an_accelerator_finds_the_same():
+def test_cuda_agrees_with_the_cpu_on_surf():
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device here")
     image = texture()

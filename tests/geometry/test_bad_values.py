@@ -1,4 +1,4 @@
-"""NaN, singular and zero input: an SfmError, or the documented result."""
+"""NaN, singular and zero input: an SfmError or the documented result."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def test_degenerate_geometry_is_reported(call):
         call()
 
 
-def test_unchecked_functions_keep_nan_visible():
+def test_unchecked_functions_return_nan_for_nan():
     assert so3_exp(torch.full((3,), torch.nan)).isnan().any()
     assert loss_kernels.loss_terms("cauchy", NAN, 1.0).value.isnan().all()
 
 
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
-def test_losses_refuse_what_is_not_finite(bad):
+def test_losses_reject_values_that_are_not_finite(bad):
     square = torch.tensor([1.0, bad], dtype=D)
     calls = (
         lambda: loss_terms("cauchy", square, 1.0),
@@ -153,12 +153,12 @@ POINTS = torch.cat((X, torch.ones(4, 1, dtype=D)), -1)
         lambda: reprojection_error(POINTS[:3], X, X, EYE, EYE, EYE, EYE[0]),
     ],
 )
-def test_wrong_shapes_types_and_scales_are_refused(call):
+def test_wrong_shapes_types_and_scales_are_rejected(call):
     with pytest.raises(InputError, match=r".+"):
         call()
 
 
-def test_numbers_whose_squares_overflow_are_refused():
+def test_numbers_whose_squares_overflow_are_rejected():
     many = torch.rand(12, 3, generator=torch.Generator().manual_seed(0), dtype=D)
     with pytest.raises(DegenerateGeometryError, match="range of floats"):
         refine_homography(EYE, many[:, :2] * 1e160, many[:, :2])
@@ -166,7 +166,7 @@ def test_numbers_whose_squares_overflow_are_refused():
         fit_similarity(many * 1e300, many * 1e300)
 
 
-def test_unbatched_points_meet_batched_poses():
+def test_unbatched_points_broadcast_against_batched_poses():
     R, t = EYE.expand(2, 3, 3), torch.tensor([[1.0, 0, 0], [0, 1.0, 0]], dtype=D)
     x2 = [(POINTS + s)[..., :2] for s in t]
     assert triangulate_dlt(X, x2[0], EYE, t).shape == (2, 4, 3)
@@ -178,7 +178,7 @@ def test_unbatched_points_meet_batched_poses():
     assert first.shape == (2, 4)
 
 
-def test_batches_that_do_not_fit_are_refused():
+def test_batches_that_do_not_fit_are_rejected():
     X, K = torch.ones(2, 5, 3, dtype=D), EYE.expand(3, 3, 3)
     with pytest.raises(InputError, match="batch dimensions"):
         project(X, K)

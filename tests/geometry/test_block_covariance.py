@@ -26,14 +26,14 @@ SIZE = (640, 480)
 
 
 def deviations(R, t, scene):
-    """(*B, 5) of estimates from the truth, in the parameters of the covariance at the truth."""
+    """Return deviations (*B, 5) of estimates from the truth in the covariance parameters."""
     omega = so3_log(R @ scene.R.mT)
     b = (tangent_basis(scene.t).mT @ (t / t.norm(dim=-1, keepdim=True))[..., None])[..., 0]
     return torch.cat((omega, b), -1)
 
 
 def trials(scene, noise, count, loss_scale=2.0):
-    """Poses from `count` noisy copies of the scene, and the noisy pixels."""
+    """Estimate poses from `count` noisy copies of the scene; return them with the noisy pixels."""
     x1, x2 = scene.x1 + noise(count, 0), scene.x2 + noise(count, 1)
     K1, K2 = scene.K1.expand(count, 3, 3), scene.K2.expand(count, 3, 3)
     start = scene.R.expand(count, 3, 3), scene.t.expand(count, 3)
@@ -50,7 +50,7 @@ def mean_covariances(scene, R, t, x1, x2, blocks, count=40):
 
 
 def ratio(estimated, errors):
-    """Square root of the mean ratio of variances, over the five parameters."""
+    """Return the square root of the mean ratio of variances over the five parameters."""
     return float((estimated.diagonal() / errors.square().mean(0)).mean().sqrt())
 
 
@@ -67,7 +67,7 @@ def test_independent_noise_gives_the_classical_covariance():
     assert 0.9 < ratio(estimated, deviations(R, t, scene)) < 1.2
 
 
-def test_noise_that_tiles_share_is_seen_by_blocks_and_not_by_single_matches():
+def test_noise_shared_by_a_tile_increases_the_block_covariance_only():
     scene = make_scene(1200)
     blocks = image_blocks(scene.x1, SIZE)
     _, tile = torch.unique(blocks, return_inverse=True)
@@ -87,7 +87,7 @@ def test_noise_that_tiles_share_is_seen_by_blocks_and_not_by_single_matches():
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_uncertain_cameras_move_the_pose_as_predicted(shared):
+def test_errors_of_the_cameras_change_the_pose_as_predicted(shared):
     scene = make_scene(400)
     sigma1 = torch.tensor([0.004, 1.5, 1.0, 0.002], dtype=torch.float64)
     sigma2 = sigma1 if shared else sigma1 * 1.5
@@ -101,7 +101,7 @@ def test_uncertain_cameras_move_the_pose_as_predicted(shared):
         disturbed(K, x, d) for K, x, d in ((scene.K1, scene.x1, d1), (scene.K2, scene.x2, d2))
     )
     start = scene.R.expand(count, 3, 3), scene.t.expand(count, 3)
-    # every match counts fully, whatever its residual under a wrong camera
+    # every match has its full weight, whatever its residual under a wrong camera
     refined = refine_essential(*start, x1, x2, K1, K2, loss="squared")
     errors = deviations(refined.R, refined.t, scene)
     measured = errors.mT @ errors / count
@@ -110,8 +110,8 @@ def test_uncertain_cameras_move_the_pose_as_predicted(shared):
     assert correlation.abs().max() < 0.2, correlation
 
 
-def test_points_move_with_pose_and_cameras_as_their_derivatives_say():
-    """Against automatic differentiation through whole cameras."""
+def test_derivatives_of_points_with_respect_to_pose_and_cameras():
+    """Compare with automatic differentiation through the cameras."""
     scene = make_scene(20)
     found = point_derivatives(scene.R, scene.t, scene.x1, scene.x2, scene.K1, scene.K2)
 
@@ -136,7 +136,7 @@ def test_points_move_with_pose_and_cameras_as_their_derivatives_say():
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
 
 
-def test_covariances_of_points_take_over_the_parts_of_the_pose():
+def test_covariances_of_points_include_the_parts_of_the_pose():
     scene = make_scene(30)
     sensitivity = linearise_pose(scene.R, scene.t, scene.x1, scene.x2, scene.K1, scene.K2)
     by = point_derivatives(scene.R, scene.t, scene.x1, scene.x2, scene.K1, scene.K2)
@@ -153,7 +153,7 @@ def test_covariances_of_points_take_over_the_parts_of_the_pose():
 
 
 def disturbed(K, x, d):
-    """Cameras (B, 3, 3) and undistorted pixels (B, N, 2) for errors d (B, 4) of intrinsics."""
+    """Return cameras (B, 3, 3) and undistorted pixels (B, N, 2) for errors d (B, 4)."""
     focal, centre = torch.zeros(2, 3, 3, dtype=K.dtype)
     focal[:2, :2] = K[:2, :2]
     centre[:2, 2] = 1
@@ -230,12 +230,12 @@ SIGMA = torch.ones(4, dtype=torch.float64)
         lambda: image_blocks(with_nan(SCENE.x1), SIZE),
     ],
 )
-def test_bad_input_is_refused(call):
+def test_bad_input_is_rejected(call):
     with pytest.raises(InputError, match=r".+"):
         call()
 
 
-def test_matches_that_do_not_determine_the_pose_are_refused():
+def test_matches_that_do_not_determine_the_pose_are_rejected():
     with pytest.raises(DegenerateGeometryError, match="4 points are too few"):
         linearise_pose(*VIEWS[:2], SCENE.x1[:4], SCENE.x2[:4], *VIEWS[4:])
     same = torch.zeros(12, dtype=torch.int64)

@@ -1,4 +1,4 @@
-"""Two-view bundle adjustment against the truth, SciPy's least squares and finite differences."""
+"""Two-view bundle adjustment compared with the truth, SciPy and finite differences."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_exact_matches_give_the_exact_pose(loss):
 
 
 @pytest.mark.parametrize("loss, scale", LOSSES)
-def test_minimum_is_scipys(loss, scale):
+def test_the_minimum_agrees_with_scipy(loss, scale):
     s = make_scene(25, noise=0.5, seed=1)
     near = adjusted(s, loss="cauchy")  # the marginal loss is flat where the other start lies
     b = bundle_adjust(
@@ -97,10 +97,10 @@ def test_robust_losses_ignore_gross_errors(loss, scale):
     clean = bundle_adjust(s.x1[40:], s.x2[40:], s.K1, s.K2, *start(s))
     assert float(rotation_error(b.R, clean.R)) < 0.03
     assert float(translation_error(b.t, clean.t)) < 0.1
-    assert float(translation_error(adjusted(s).t, clean.t)) > 1  # which least squares does not
+    assert float(translation_error(adjusted(s).t, clean.t)) > 1  # unlike least squares
 
 
-def test_a_match_without_weight_is_not_there():
+def test_a_match_without_weight_has_no_effect():
     s = make_scene(60, noise=0.5)
     w = torch.ones(60, dtype=D)
     w[50:] = 0
@@ -112,7 +112,7 @@ def test_a_match_without_weight_is_not_there():
     torch.testing.assert_close(double.R, adjusted(s).R, rtol=0, atol=1e-9)
 
 
-def test_no_iterations_go_nowhere():
+def test_zero_iterations_only_triangulate():
     s = make_scene(20, noise=0.5)
     b = bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, max_iterations=0)
     torch.testing.assert_close(b.R, s.R)
@@ -120,7 +120,7 @@ def test_no_iterations_go_nowhere():
     assert not bool(b.converged)
 
 
-def test_a_batch_is_its_items_each_at_its_own_pace():
+def test_a_batch_agrees_with_its_items_that_converge_at_different_rates():
     scenes = [make_scene(40, noise=n, seed=k) for k, n in enumerate((0.0, 0.5, 3.0))]
     stacked = [torch.stack(a) for a in zip(*((s.x1, s.x2, s.K1, s.K2, *start(s)) for s in scenes))]
     together = bundle_adjust(*stacked, loss="cauchy")
@@ -133,7 +133,7 @@ def test_a_batch_is_its_items_each_at_its_own_pace():
     torch.testing.assert_close(mapped, together.t, rtol=0, atol=1e-7)
 
 
-def test_float32_is_float64_rounded_once():
+def test_float32_agrees_with_rounded_float64():
     s = make_scene(60, noise=0.5)
     inputs = [a.float() for a in (s.x1, s.x2, s.K1, s.K2, *start(s))]
     b32, b64 = bundle_adjust(*inputs), bundle_adjust(*(a.double() for a in inputs))
@@ -231,7 +231,7 @@ def test_bad_input_is_named():
 
 
 @pytest.mark.data
-def test_fountain_converges_at_once_and_agrees_with_the_truth(data_dir):
+def test_fountain_converges_quickly_and_agrees_with_the_truth(data_dir):
     import cv2
 
     from sfmkit.datasets.strecha import strecha
@@ -266,7 +266,7 @@ def test_fountain_converges_at_once_and_agrees_with_the_truth(data_dir):
 
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_a_graphics_card_gives_the_same():
+def test_cuda_agrees_with_the_cpu():
     s = make_scene(50, noise=0.5)
     here = adjusted(s, loss="cauchy")
     there = bundle_adjust(*(a.cuda() for a in (s.x1, s.x2, s.K1, s.K2, *start(s))), loss="cauchy")

@@ -24,14 +24,14 @@ CAMERA = Camera(S.K1.numpy(), (640, 480))
 X = torch.rand(30, 3, dtype=D) + torch.tensor([0, 0, 4.0], dtype=D)
 
 
-def test_pinhole_camera_projects_to_the_same_pixels():
+def test_a_pinhole_camera_projects_to_the_same_pixels():
     pinhole = pinhole_from_camera(CAMERA, S.R, S.t)
     assert pinhole.intrinsics.dtype == D
     assert pinhole.intrinsics.shape == (1, 4, 4)
     torch.testing.assert_close(pinhole.project(X[None])[0], project(X, S.K1, S.R, S.t))
 
 
-def test_camera_and_pose_come_back_from_pinhole_camera():
+def test_a_pinhole_camera_converts_back_to_camera_and_pose():
     camera, R, t = camera_from_pinhole(pinhole_from_camera(CAMERA, S.R, S.t))
     np.testing.assert_array_equal(camera.K, CAMERA.K)
     assert camera.size_wh == CAMERA.size_wh
@@ -39,7 +39,7 @@ def test_camera_and_pose_come_back_from_pinhole_camera():
     torch.testing.assert_close(t, S.t)
 
 
-def test_what_pinhole_camera_cannot_hold_is_rejected():
+def test_input_that_a_pinhole_camera_does_not_support_is_rejected():
     with pytest.raises(InputError, match="distortion"):
         pinhole_from_camera(Camera(S.K1.numpy(), (640, 480), np.array([0.1, 0, 0, 0, 0])))
     with pytest.raises(InputError, match="both"):
@@ -51,7 +51,7 @@ def test_what_pinhole_camera_cannot_hold_is_rejected():
         camera_from_pinhole(two)
 
 
-def test_se3_moves_points_like_the_pose_and_comes_back():
+def test_se3_acts_like_the_pose_and_converts_back():
     pose = se3_from_pose(S.R, S.t)
     assert isinstance(pose, Se3)
     torch.testing.assert_close((pose.matrix()[:3, :3] @ X.T).T + pose.t, X @ S.R.mT + S.t)

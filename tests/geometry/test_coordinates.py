@@ -69,6 +69,6 @@ def test_bad_intrinsics_are_named(K, words):
 @pytest.mark.parametrize(
     "x", [torch.zeros(4, 2, dtype=torch.int64), torch.zeros(4, 2, dtype=torch.half)]
 )
-def test_other_dtypes_are_refused(x):
+def test_other_dtypes_are_rejected(x):
     with pytest.raises(InputError, match="float32 or float64"):
         hartley_normalization(x)

@@ -16,7 +16,7 @@ from sfmkit.geometry.distortion import distort, distort_pixels, undistort, undis
 from sfmkit.types import Camera
 
 D = torch.float64
-# k1 k2 p1 p2 k3 | k4 k5 k6 | s1 s2 s3 s4 | tx ty: a strong wide angle with every term of OpenCV.
+# k1 k2 p1 p2 k3 | k4 k5 k6 | s1 s2 s3 s4 | tx ty: a wide-angle lens with every term of OpenCV.
 FULL = torch.tensor(
     [-0.28, 0.07, 1e-3, -5e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -2e-3, 2e-3, 1e-3, 0.02, -0.03],
     dtype=D,
@@ -77,15 +77,15 @@ def test_the_inverse_agrees_with_opencv(d, model):
     st.floats(-2e-3, 2e-3),
     st.floats(0.0, 0.02),
 )
-def test_the_inverse_of_any_moderate_lens(k1, k2, p1, p2, k3):
+def test_the_inverse_of_random_moderate_lenses(k1, k2, p1, p2, k3):
     d = torch.tensor([k1, k2, p1, p2, k3], dtype=D)
     x = points(20, extent=0.55)
     torch.testing.assert_close(undistort(distort(x, d), d), x, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("k1", "reach"), [(-0.35, 0.97), (0.5, 2.0)])
-def test_the_inverse_is_right_where_fixed_point_iteration_is_not(k1, reach):
-    """The reason why kornia's inverse is not used; kornia 0.9 and OpenCV 5."""
+def test_the_inverse_is_correct_where_fixed_point_iteration_is_wrong(k1, reach):
+    """Test the reason why kornia's inverse is not used (kornia 0.9, OpenCV 5)."""
     d = torch.tensor([k1, 0, 0, 0, 0], dtype=D)
     r = torch.linspace(0, reach, 500, dtype=D)
     x = torch.stack((r, torch.zeros_like(r)), -1)
@@ -105,7 +105,7 @@ def test_no_distortion_changes_nothing():
 BARREL = torch.tensor([-0.3, 0.0, 0.0, 0.0, 0.0], dtype=D)  # the image ends at radius 0.70
 
 
-def test_points_outside_the_field_are_refused_or_masked():
+def test_points_outside_the_field_are_rejected_or_masked():
     y = torch.tensor([[0.1, 0.1], [0.6, 0.6], [-1.5, 0.0]], dtype=D)
     with pytest.raises(InputError, match="2 of 3 points"):
         undistort(y, BARREL)
@@ -120,7 +120,7 @@ def test_points_outside_the_field_are_refused_or_masked():
     ("d", "model", "end"),
     [
         (BARREL, "opencv", (2 / 3) * (1 / 0.9) ** 0.5),
-        # (1 + s) / (1 + 2 s) folds never; 1 / (1 - s) has its pole at r = 1, where the image is
+        # (1 + s) / (1 + 2 s) never folds; 1 / (1 - s) has its pole at r = 1, where the image is
         # infinite; r / (1 + s) folds at r = 1 with image 1 / 2.
         (torch.tensor([0, 0, 0, 0, 0, 1.0, 0, 0], dtype=D), "opencv", 0.5),
         # theta (1 - s / 3) folds at theta = 1 with image 2 / 3.
@@ -145,7 +145,7 @@ def test_masked_points_leave_the_derivatives_of_the_others_finite():
     assert all(g.isfinite().all() for g in grads)
 
 
-def test_a_batch_is_its_items():
+def test_a_batch_agrees_with_its_items():
     y = distort(points(), LENS).reshape(4, 50, 2)
     several = torch.stack([s * LENS for s in (0.0, 0.5, 1.0, 1.1)])
     together = undistort(y, several)

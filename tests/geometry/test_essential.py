@@ -36,7 +36,7 @@ def samples(s, count: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     return n1[index], n2[index]
 
 
-def test_the_true_matrix_holds_the_matches():
+def test_the_true_matrix_satisfies_the_constraint():
     n1, n2 = rays(EXACT)
     assert float((to_homogeneous(n2) * (to_homogeneous(n1) @ E.T)).sum(-1).abs().max()) < 1e-14
 
@@ -46,7 +46,7 @@ def test_from_fundamental_and_back():
     assert float(same_up_to_sign(essential_from_fundamental(F, EXACT.K1, EXACT.K2), E)) < 1e-12
 
 
-def test_projection_is_the_svds():
+def test_the_projection_agrees_with_an_svd():
     A = E + 0.1 * torch.rand(
         5, 3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64
     )
@@ -56,7 +56,7 @@ def test_projection_is_the_svds():
     assert torch.allclose(project_to_essential(5 * E), E, rtol=0, atol=1e-14)
 
 
-def test_decomposition_holds_the_pose_and_three_others():
+def test_the_decomposition_contains_the_pose_and_three_others():
     R, t = decompose_essential(-4 * E)
     gap = (R - EXACT.R).flatten(1).norm(dim=1) + (t - EXACT.t).norm(dim=1)
     assert float(gap.min()) < 1e-14
@@ -64,7 +64,7 @@ def test_decomposition_holds_the_pose_and_three_others():
     assert torch.allclose(R @ R.mT, torch.eye(3).double().expand(4, 3, 3), atol=1e-14)
     assert float(same_up_to_sign(essential_from_pose(R, t), E).max()) < 1e-14
     pairs = torch.cat((R.flatten(1), t), 1)
-    assert float(torch.cdist(pairs, pairs).fill_diagonal_(9).min()) > 0.1  # four different ones
+    assert float(torch.cdist(pairs, pairs).fill_diagonal_(9).min()) > 0.1  # four different poses
 
 
 def test_five_points_find_the_true_matrix_in_nearly_every_sample():
@@ -74,7 +74,7 @@ def test_five_points_find_the_true_matrix_in_nearly_every_sample():
     assert torch.equal(solutions[~valid], torch.zeros_like(solutions[~valid]))
 
 
-def test_every_solution_of_noisy_samples_is_one():
+def test_every_solution_of_a_noisy_sample_satisfies_the_constraints():
     x1, x2 = samples(NOISY, 300)
     solutions, valid = essential_5point(x1, x2)
     M = solutions[valid]
@@ -94,7 +94,7 @@ def test_all_solutions_of_kornia_are_found():
     h1, h2 = to_homogeneous(x1)[:, None], to_homogeneous(x2)[:, None]
     fits = ((h1 @ theirs.mT) * h2).sum(-1).abs().amax(
         -1
-    ) < 1e-9  # some of what comes back is NaN or no solution
+    ) < 1e-9  # some of the results are NaN or not solutions
     S = torch.linalg.svdvals(theirs.nan_to_num())
     fits &= (S[..., 0] - S[..., 1]).abs() < 1e-7
     gap = torch.where(
@@ -118,7 +118,7 @@ def test_batch_shapes_and_float32():
 
 
 @pytest.mark.parametrize("kind", ["repeated", "origin"])
-def test_degenerate_samples_yield_nothing_or_finite_matrices(kind):
+def test_degenerate_samples_give_no_solution_or_finite_matrices(kind):
     x = (
         torch.rand(1, 2, dtype=torch.float64).repeat(5, 1)
         if kind == "repeated"

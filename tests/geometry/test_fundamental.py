@@ -42,11 +42,11 @@ def test_eight_points_agree_with_opencv_on_noise():
     )
     assert (
         float(apart.abs().max()) < 0.02
-    )  # normalised by the mean distance there, by the root mean square here
+    )  # OpenCV normalises by the mean distance, sfmkit by the root mean square
     assert abs(float(torch.linalg.det(ours))) < 1e-18
 
 
-def test_seven_points_hold_the_true_matrix_and_opencvs_solutions():
+def test_seven_points_give_the_true_matrix_and_the_solutions_of_opencv():
     g = torch.Generator().manual_seed(0)
     index = torch.stack([torch.randperm(80, generator=g)[:7] for _ in range(50)])
     solutions, valid = fundamental_7point(EXACT.x1[index], EXACT.x2[index])
@@ -61,10 +61,10 @@ def test_seven_points_hold_the_true_matrix_and_opencvs_solutions():
         for M in theirs:
             assert (
                 float(same_up_to_sign(solutions[i][valid[i]], M).min()) < 1e-4
-            )  # theirs works in raw pixels
+            )  # OpenCV computes in pixels without normalisation
 
 
-def test_lines_hold_the_matches_and_meet_in_the_epipoles():
+def test_lines_contain_the_matches_and_intersect_in_the_epipoles():
     lines = epipolar_lines(F, EXACT.x1)
     assert float((lines * to_homogeneous(EXACT.x2)).sum(-1).abs().max()) < 1e-9
     assert torch.allclose(lines[:, :2].norm(dim=-1), torch.ones(80).double())
@@ -74,13 +74,16 @@ def test_lines_hold_the_matches_and_meet_in_the_epipoles():
     assert np.allclose(
         np.minimum(np.abs(theirs - lines.numpy()), np.abs(theirs + lines.numpy())), 0, atol=1e-9
     )
-    centre = EXACT.K1 @ (-EXACT.R.T @ EXACT.t)  # the other camera's centre, seen from this one
+    centre = EXACT.K1 @ (-EXACT.R.T @ EXACT.t)  # centre of the other camera in this frame
     assert float(same_up_to_sign(e1[:, None], (centre / centre.norm())[:, None])) < 1e-9
 
 
 def test_distances_for_a_sideways_motion_are_known():
-    """Rows are epipolar lines: a match that is v pixels off is v / √2 from it jointly, 2 v²
-    symmetrically."""
+    """Test distances for epipolar lines that are rows.
+
+    A match that is wrong by v pixels has the Sampson distance v / √2 and the squared symmetric
+    distance 2 v².
+    """
     rows = torch.tensor([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
     x1 = torch.tensor([[10.0, 20.0], [5.0, 5.0]], dtype=torch.float64)
     x2 = x1 + torch.tensor([7.0, 3.0], dtype=torch.float64)
@@ -127,7 +130,7 @@ def test_batch_equals_singles_and_float32_is_close():
 
 
 @pytest.mark.parametrize("scene", ["plane", "collinear", "repeated"])
-def test_matches_that_leave_f_open_are_refused(scene):
+def test_matches_that_do_not_determine_f_are_rejected(scene):
     s = make_scene(30, planar=True)
     x1, x2 = s.x1, s.x2
     if scene == "collinear":

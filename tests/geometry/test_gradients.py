@@ -1,5 +1,7 @@
-"""Derivatives of the small functions by finite differences; those of the solvers stand beside their
-other tests."""
+"""Derivatives of the small functions compared with finite differences.
+
+The derivatives of the solvers are tested in the modules of the solvers.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,7 @@ AXIS = torch.tensor([0.1, -0.4, 0.3], dtype=torch.float64)
 
 
 def camera(k):
-    """K of (fx, fy, cx, cy, skew): the entries below the diagonal are not unknowns."""
+    """Return K of (fx, fy, cx, cy, skew); the entries below the diagonal are not unknowns."""
     zero, one = torch.zeros_like(k[..., 0]), torch.ones_like(k[..., 0])
     fx, fy, cx, cy, skew = k.unbind(-1)
     return torch.stack((fx, skew, cx, zero, fy, cy, zero, zero, one), -1).unflatten(-1, (3, 3))
@@ -94,7 +96,7 @@ FUNCTIONS = {
 
 @pytest.mark.grad
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_derivatives_are_those_of_finite_differences(name):
+def test_derivatives_agree_with_finite_differences(name):
     function, values = FUNCTIONS[name]
     assert torch.autograd.gradcheck(
         function, tuple(v.clone().requires_grad_() for v in values), atol=1e-5
@@ -116,7 +118,7 @@ def test_slope_and_curvature_are_the_derivatives_of_the_loss(loss):
 
 
 @pytest.mark.parametrize("name", [n for n in FUNCTIONS if not n.startswith(("loss", "marginal"))])
-def test_a_batch_is_its_members_and_single_precision_is_near(name):
+def test_a_batch_agrees_with_its_items_and_float32_with_float64(name):
     function, values = FUNCTIONS[name]
     single = function(*values)
     batch = function(*(torch.stack((v, v)) for v in values))
@@ -164,7 +166,7 @@ def test_forward_mode_at_a_minimum_agrees_with_reverse_mode(name):
 
 @pytest.mark.grad
 @pytest.mark.parametrize("name", MINIMA)
-def test_second_derivatives_at_a_minimum_are_those_of_finite_differences(name):
+def test_second_derivatives_at_a_minimum_agree_with_finite_differences(name):
     function, x1 = MINIMA[name]
     assert torch.autograd.gradgradcheck(
         lambda x: function(x).sum(),
@@ -188,8 +190,8 @@ ONE_GRADIENT = {
 
 @pytest.mark.grad
 @pytest.mark.parametrize("call", ONE_GRADIENT.values(), ids=ONE_GRADIENT)
-def test_a_first_gradient_warns_of_nothing(call):
-    """In a fresh process: what torch says on its first forward-mode derivative, it says once."""
+def test_a_first_gradient_gives_no_warning(call):
+    """Run in a new process: torch warns only at its first forward-mode derivative."""
     lines = (
         "from made_up_scene import make_scene",
         "from sfmkit.geometry.bundle import bundle_adjust",

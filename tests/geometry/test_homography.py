@@ -40,12 +40,12 @@ def test_dlt_agrees_with_opencv_on_noise():
     ours = homography_dlt(NOISY.x1, NOISY.x2)
     theirs, _ = cv2.findHomography(
         NOISY.x1.numpy(), NOISY.x2.numpy(), 0
-    )  # ends with a nonlinear refinement
+    )  # OpenCV ends with a nonlinear refinement
     apart = transfer(ours, NOISY.x1) - transfer(torch.from_numpy(theirs), NOISY.x1)
     assert float(apart.norm(dim=-1).max()) < 0.1
 
 
-def test_zero_weight_leaves_a_match_out():
+def test_a_weight_of_zero_excludes_a_match():
     x2 = PLANE.x2.clone()
     x2[:5] += 100
     w = torch.ones(60, dtype=torch.float64)
@@ -53,15 +53,15 @@ def test_zero_weight_leaves_a_match_out():
     assert float((homography_dlt(PLANE.x1, x2, w) - unit_norm(H)).abs().max()) < 1e-12
 
 
-def test_sampson_distance_is_half_the_squared_shift_of_a_translation():
+def test_sampson_distance_of_a_translation_is_half_the_squared_displacement():
     shift = torch.tensor([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
     x = torch.tensor([[10.0, 20.0]], dtype=torch.float64)
-    moved = x + torch.tensor([5.0, 3.0], dtype=torch.float64)  # 3 px off, shared by both images
+    moved = x + torch.tensor([5.0, 3.0], dtype=torch.float64)  # 3 px, distributed over both images
     assert squared_homography_sampson_distance(shift, x, moved).item() == pytest.approx(4.5)
     assert squared_transfer_error(shift, x, moved).item() == pytest.approx(9.0)
 
 
-def test_decomposition_holds_the_true_pose_and_plane_and_matches_opencv():
+def test_the_decomposition_contains_the_true_pose_and_plane_and_agrees_with_opencv():
     R, t, n = decompose_homography(-7 * H, PLANE.K1, PLANE.K2)
     error = (
         (R - PLANE.R).flatten(1).norm(dim=1)
@@ -102,7 +102,7 @@ def test_batch_equals_singles_and_float32_is_close():
     single = homography_dlt(a.float(), b.float())
     assert single.dtype == torch.float32
     apart = transfer(single.double(), a) - transfer(both, a)
-    assert float(apart.abs().max()) < 2e-3  # pixels; float32 holds pixels to 3e-5 only
+    assert float(apart.abs().max()) < 2e-3  # pixels; float32 represents pixels only to 3e-5
 
 
 def test_vmap_agrees():
@@ -114,7 +114,7 @@ def test_vmap_agrees():
 
 
 @pytest.mark.parametrize("kind", ["collinear", "repeated"])
-def test_degenerate_points_are_refused(kind):
+def test_degenerate_points_are_rejected(kind):
     x = torch.linspace(0, 10, 8, dtype=torch.float64)[:, None] * torch.tensor(
         [1.0, 2.0], dtype=torch.float64
     )
@@ -124,7 +124,7 @@ def test_degenerate_points_are_refused(kind):
         homography_dlt(x, x + 3)
 
 
-def test_too_few_points_and_wrong_weights_are_refused():
+def test_too_few_points_and_wrong_weights_are_rejected():
     with pytest.raises(DegenerateGeometryError, match="at least 4"):
         homography_dlt(PLANE.x1[:3], PLANE.x2[:3])
     with pytest.raises(InputError, match="weights must have shape"):

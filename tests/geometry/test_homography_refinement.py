@@ -43,7 +43,7 @@ def test_the_minimum_agrees_with_scipy():
 
 
 @pytest.mark.grad
-def test_first_and_second_derivatives_are_those_of_finite_differences():
+def test_first_and_second_derivatives_agree_with_finite_differences():
     def corners(x1, x2, w):  # pixels: the entries of H differ by orders of magnitude
         H = refine_homography(START, x1, x2, w, threshold_px=5.0, max_iterations=60)
         return transfer(H, CORNERS)
@@ -72,7 +72,7 @@ def test_a_batch_and_vmap_agree_with_single_problems():
     assert low.dtype == torch.float32
 
 
-def test_several_starts_share_one_set_of_matches():
+def test_several_initial_homographies_share_one_set_of_matches():
     shift = torch.tensor([[1.0, 0, 2], [0, 1, -1], [0, 0, 1]], dtype=D)
     starts = torch.stack([START, shift @ START, START @ shift])
     together = refine_homography(starts, S.x1, S.x2)

@@ -1,5 +1,8 @@
-"""What must not matter: which image comes first, how cameras are turned, the unit of pixels, the
-order of the matches."""
+"""Invariance of the results under changes of the input that do not matter.
+
+These are the order of the images, the orientation of the cameras, the unit of pixels and the order
+of the matches.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +40,7 @@ METHODS = ("optimal", "midpoint", "dlt")
 
 @dataclass(frozen=True)
 class Task:
-    """Matches, their cameras, the length that counts as one pixel, and a pose of camera 2 from
-    camera 1."""
+    """Matches, cameras, a length of one pixel, and a pose of camera 2 relative to camera 1."""
 
     x1: Tensor
     x2: Tensor
@@ -66,7 +68,7 @@ def task(seed: int, n: int = 60, noise: float = 0.3, outliers: float = 0.0) -> T
 
 
 class Swap:
-    """Image 2 comes first."""
+    """Swap the images."""
 
     def __call__(self, a: Task) -> Task:
         return Task(a.x2, a.x1, a.K2, a.K1, *self.pose(a.R, a.t), a.pixel)
@@ -79,7 +81,7 @@ class Swap:
 
 
 class Scale(Swap):
-    """Another unit of pixels."""
+    """Change the unit of pixels."""
 
     def __init__(self, factor: float):
         self.factor = factor
@@ -101,8 +103,7 @@ class Scale(Swap):
 
 
 class Turn(Swap):
-    """Both photographs turned by quarters about the origin of their pixels, each by its own number
-    of quarters."""
+    """Rotate each photograph by its own multiple of 90 degrees about the pixel origin."""
 
     def __init__(self, quarters1: int, quarters2: int):
         self.quarters = quarters1, quarters2
@@ -120,7 +121,7 @@ class Turn(Swap):
 
 
 class Permute(Scale):
-    """The matches in another order."""
+    """Change the order of the matches."""
 
     def __init__(self, seed: int):
         self.seed = seed
@@ -151,7 +152,7 @@ def apart(pose: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> float:
 
 @many
 @given(seeds, changes)
-def test_distances_in_pixels_scale_and_otherwise_stay(seed, change):
+def test_distances_in_pixels_are_invariant_up_to_scale(seed, change):
     a = task(seed)
     b = change(a)
     order = change.order(len(a.x1))
@@ -166,7 +167,7 @@ def test_distances_in_pixels_scale_and_otherwise_stay(seed, change):
 
 @many
 @given(seeds, changes)
-def test_parallax_and_cheirality_stay(seed, change):
+def test_parallax_and_cheirality_are_invariant(seed, change):
     a = task(seed)
     b = change(a)
     order = change.order(len(a.x1))
@@ -181,7 +182,7 @@ def test_parallax_and_cheirality_stay(seed, change):
 
 @many
 @given(seeds, changes)
-def test_eight_points_see_the_same_geometry(seed, change):
+def test_eight_points_give_the_same_geometry(seed, change):
     a = task(seed)
     b = change(a)
     order = change.order(len(a.x1))
@@ -216,7 +217,7 @@ def test_a_homography_is_the_same_map(seed, change):
 def test_points_are_the_same_points(seed, change, method):
     a = task(
         seed, noise=0.0
-    )  # the methods weigh the images differently: only exact rays meet in one point for all
+    )  # the methods weight the images differently: only for exact rays do all give the same point
     b = change(a)
     order = change.order(len(a.x1))
     X, Y = (
@@ -232,9 +233,11 @@ def test_points_are_the_same_points(seed, change, method):
 
 @many
 @given(seeds, st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
-def test_the_midpoint_does_not_care_where_the_cameras_look(seed, w1, w2):
-    """Of noisy rays too: it is defined in space, so any rotation of either camera's frame only
-    rotates the answer."""
+def test_the_midpoint_does_not_depend_on_the_orientation_of_the_cameras(seed, w1, w2):
+    """Test noisy rays too.
+
+    The midpoint is defined in space, so a rotation of a camera frame only rotates the result.
+    """
     a = task(seed)
     Q1, Q2 = (so3_exp(torch.tensor(w, dtype=torch.float64)) for w in (w1, w2))
     xn1, xn2 = normalize(a.x1, a.K1), normalize(a.x2, a.K2)
@@ -274,7 +277,7 @@ def test_refinement_finds_the_same_pose(seed, change):
 
 @few
 @given(seeds, changes)
-def test_bundle_adjustment_finds_the_same_pose_and_is_as_sure(seed, change):
+def test_bundle_adjustment_finds_the_same_pose_with_the_same_uncertainty(seed, change):
     a = task(seed, n=30)
     b = change(a)
     found, again = (bundle_adjust(c.x1, c.x2, c.K1, c.K2, c.R, c.t) for c in (a, b))
@@ -323,7 +326,7 @@ def test_a_robust_estimate_is_the_same(engine, degrees):
 
 
 def change_of(E: Tensor, change: Swap) -> Tensor:
-    """The essential matrix after the change."""
+    """Return the essential matrix after the change."""
     if isinstance(change, Turn):
         return change.Q2 @ E @ change.Q1.mT
     return E if isinstance(change, Scale) else E.mT

@@ -51,7 +51,7 @@ def close(ours: Tensor, theirs: Tensor, tolerance: float = 1e-10) -> None:
 
 
 def fails(check: Callable[[], object]) -> bool:
-    """Whether a gradient check or a transform of kornia's function fails or is not finite."""
+    """Return whether a check or a transform of kornia's function fails or is not finite."""
     try:
         result = check()
     except (RuntimeError, GradcheckError):
@@ -64,14 +64,14 @@ def differs(ours: Tensor, theirs: Tensor, by: float) -> None:
 
 
 def distance(A: Tensor, B: Tensor) -> float:
-    """The largest distance of matrices that are defined up to scale."""
+    """Return the largest distance of matrices that are defined up to scale."""
     A, B = (M / M.flatten(-2).norm(dim=-1)[..., None, None] for M in (A, B))
     apart = torch.minimum((A - B).flatten(-2).norm(dim=-1), (A + B).flatten(-2).norm(dim=-1))
     return float(apart.max())
 
 
 def public_names() -> set[str]:
-    """All public names of kornia.geometry and its modules."""
+    """Return all public names of kornia.geometry and its modules."""
     names = set()
     for module in pkgutil.walk_packages(kornia.geometry.__path__, "kornia.geometry."):
         names |= {n for n in dir(importlib.import_module(module.name)) if not n.startswith("_")}
@@ -79,7 +79,7 @@ def public_names() -> set[str]:
 
 
 def missing(*words: str) -> Callable[[], None]:
-    """A check that no public name of kornia.geometry contains all of the words."""
+    """Return a check that no public name of kornia.geometry contains all of the words."""
 
     def check() -> None:
         found = [n for n in public_names() if all(w in n for w in words)]
@@ -210,7 +210,7 @@ def decompose_essential() -> None:
 
 
 def missed(candidates: Tensor, truth: Tensor, tolerance: float) -> int:
-    """How many samples have no candidate within the tolerance of the true matrix."""
+    """Count the samples without a candidate within the tolerance of the true matrix."""
     C = candidates.nan_to_num()
     C = C / C.flatten(-2).norm(dim=-1)[..., None, None].clamp(min=1e-300)
     T = (truth / truth.flatten(-2).norm(dim=-1)[..., None, None])[:, None]
@@ -304,7 +304,7 @@ def squared_symmetric_transfer_error() -> None:
 
 
 def choose_pose() -> None:
-    """That kornia triangulates is the reason; that it takes time is left to the benchmark."""
+    """Test that kornia triangulates; the benchmark measures the time."""
     R, _, _ = G.choose_pose(*G.decompose_essential(E), N1, N2)
     theirs = epipolar.motion_from_essential_choose_solution(E, S.K1, S.K2, S.x1, S.x2)
     close(R, theirs[0], 1e-8)
@@ -445,7 +445,7 @@ def test_the_table_has_one_row_per_public_function():
 
 
 def test_every_public_function_of_the_modules_is_exported():
-    """Except the checks and the unchecked kernels."""
+    """The checks and the unchecked kernels are exceptions."""
     kernels = {"bearings", "minimise", "focal_unknowns"}  # of the refinements
     for module in pkgutil.iter_modules(G.__path__, "sfmkit.geometry."):
         name = module.name.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""Rotations and directions against matrix exponentials and closed forms."""
+"""Rotations and directions compared with matrix exponentials and closed forms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_exponential_and_logarithm(angle):
     torch.testing.assert_close(so3_log(R), w, rtol=1e-9, atol=1e-15)
 
 
-def test_half_turns_have_an_axis():
+def test_rotations_by_180_degrees_have_an_axis():
     n = directions()
     R = 2 * n[:, :, None] * n[:, None, :] - torch.eye(3, dtype=D)
     w = so3_log(R)

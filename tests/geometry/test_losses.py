@@ -1,5 +1,4 @@
-"""The marginal loss against numerical integration over the noise level; all losses against their
-own derivatives."""
+"""Losses compared with numerical integration over the noise level and their derivatives."""
 
 from __future__ import annotations
 
@@ -16,8 +15,10 @@ from sfmkit.geometry.losses import loss_terms, marginal_score, marginal_weight
 
 
 def marginal(r: float, threshold: float) -> float:
-    """The density of a four-vector of length r, cut off at k sigma, averaged over sigma up to
-    threshold / k."""
+    """Return the average density of a four-vector of length r over the noise level.
+
+    The density is cut off at k sigma, and sigma ranges up to threshold / k.
+    """
     k = chi(4).ppf(0.99)
     top = threshold / k
     density = quad(
@@ -26,14 +27,14 @@ def marginal(r: float, threshold: float) -> float:
     return density * r**3  # relative to a chi distributed length: what MAGSAC++ weighs with
 
 
-def test_weight_is_the_marginal_over_the_noise_level():
+def test_the_weight_is_the_average_over_the_noise_level():
     r = np.linspace(0.2, 2.9, 12)
     expected = np.array([marginal(x, 3.0) for x in r])
     ours = marginal_weight(torch.from_numpy(r**2), 3.0).numpy()
     assert np.allclose(ours / ours[0], expected / expected[0], rtol=1e-5)
 
 
-def test_score_is_one_at_zero_and_nothing_beyond_the_threshold():
+def test_the_score_is_one_at_zero_and_zero_beyond_the_threshold():
     s = torch.tensor([0.0, 3.999, 4.0, 100.0], dtype=torch.float64)
     assert torch.allclose(marginal_score(s, 2.0), torch.tensor([1.0, 0, 0, 0]).double(), atol=1e-6)
     assert torch.allclose(marginal_weight(s, 2.0), torch.tensor([1.0, 0, 0, 0]).double(), atol=1e-3)

@@ -33,12 +33,12 @@ def normalised(noise: float = 0.0, seed: int = 0, n: int = 60):
 
 
 def candidates(R: torch.Tensor, t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The four poses with the essential matrix of (R, t), the true one third."""
+    """Return the four poses of the essential matrix of (R, t); the true one is the third."""
     twisted = (2 * torch.outer(t, t) - torch.eye(3, dtype=D)) @ R
     return torch.stack((twisted, twisted, R, R)), torch.stack((t, -t, t, -t))
 
 
-def test_cheirality_is_the_sign_of_the_triangulated_depths():
+def test_cheirality_agrees_with_the_signs_of_the_triangulated_depths():
     xn1, xn2, R, t = normalised(noise=2.0)
     R4, t4 = candidates(R, t)
     ours = cheirality(xn1[None], xn2[None], R4, t4)
@@ -56,7 +56,7 @@ def test_cheirality_is_the_sign_of_the_triangulated_depths():
     assert ours.sum(-1).tolist() == [0, 0, 60, 0]
 
 
-def test_choice_is_opencvs():
+def test_the_choice_agrees_with_opencv():
     xn1, xn2, R, t = normalised(noise=1.0)
     chosen_R, chosen_t, counts = choose_pose(*candidates(R, t), xn1, xn2)
     n, R_cv, t_cv, _ = cv2.recoverPose((hat(t) @ R).numpy(), xn1.numpy(), xn2.numpy(), np.eye(3))
@@ -65,10 +65,10 @@ def test_choice_is_opencvs():
     np.testing.assert_allclose(chosen_t.numpy(), t_cv[:, 0], atol=1e-12)
 
 
-def test_each_item_of_a_batch_gets_its_own_choice():
+def test_each_item_of_a_batch_has_its_own_choice():
     items = [normalised(seed=s) for s in range(4)]
     poses = [candidates(R, t) for _, _, R, t in items]
-    # Another place for the true pose in every item.
+    # The true pose has another position in every item.
     poses = [(R4.roll(k, 0), t4.roll(k, 0)) for k, (R4, t4) in enumerate(poses)]
     R, t, counts = choose_pose(
         *(torch.stack(a) for a in zip(*poses)), *(torch.stack(a) for a in list(zip(*items))[:2])
@@ -82,9 +82,9 @@ def test_each_item_of_a_batch_gets_its_own_choice():
     torch.testing.assert_close(mapped[0], R, rtol=0, atol=0)
 
 
-def test_weights_decide():
+def test_weights_determine_the_choice():
     xn1, xn2, R, t = normalised()
-    wrong = -xn2  # matches that speak for other poses
+    wrong = -xn2  # matches that support other poses
     both1, both2 = torch.cat((xn1, xn1)), torch.cat((xn2, wrong))
     weights = torch.cat((torch.ones(60, dtype=D), torch.zeros(60, dtype=D)))
     chosen, _, counts = choose_pose(*candidates(R, t), both1, both2, weights)
@@ -94,14 +94,14 @@ def test_weights_decide():
 
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 1000))
-def test_swapping_the_images_keeps_what_is_in_front(seed):
+def test_swapping_the_images_does_not_change_cheirality(seed):
     xn1, xn2, R, t = normalised(noise=50.0, seed=seed)
     swapped = cheirality(xn2, xn1, R.T, -R.T @ t)
     assert torch.equal(cheirality(xn1, xn2, R, t), swapped)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-10, 1e-6, 0.01, 1.0, 90.0, 179.999999, 180.0])
-def test_angles_have_all_their_digits(degrees):
+def test_angles_are_accurate_near_zero_and_180_degrees(degrees):
     angle = torch.deg2rad(torch.tensor(degrees, dtype=D))
     axis = torch.nn.functional.normalize(torch.tensor([1.0, -2.0, 0.5], dtype=D), dim=0)
     R0 = so3_exp(torch.tensor([0.3, -0.2, 1.0], dtype=D))

@@ -1,4 +1,4 @@
-"""Pose refinement against an exact scene, SciPy's least squares and finite differences."""
+"""Pose refinement compared with an exact scene, SciPy and finite differences."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_exact_matches_give_the_exact_pose(loss):
 
 
 @pytest.mark.parametrize("loss, name", [("squared", "linear"), ("cauchy", "cauchy")])
-def test_minimum_is_scipys(loss, name):
+def test_the_minimum_agrees_with_scipy(loss, name):
     s = make_scene(60, noise=0.7, outliers=0.1 if loss == "cauchy" else 0.0)
 
     def residuals(p: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_minimum_is_scipys(loss, name):
     assert int(ours.iterations) < 15
 
 
-def test_weights_of_zero_leave_matches_out_and_costs_never_rise():
+def test_weights_of_zero_exclude_matches_and_the_cost_never_increases():
     s = make_scene(100, noise=0.3)
     w = torch.ones(100, dtype=torch.float64)
     w[:30] = 0
@@ -128,4 +128,4 @@ def test_derivatives_of_the_minimum(loss):
     )
     assert torch.allclose(
         one, many[0], rtol=1e-4, atol=1e-8
-    )  # vmap makes all iterations, alone stops when done
+    )  # under vmap, all iterations are run; a single problem stops at convergence

@@ -25,7 +25,7 @@ def world(n: int = 40):
 
 
 @pytest.mark.parametrize("lens", [None, LENS])
-def test_projection_is_opencvs(lens):
+def test_projection_agrees_with_opencv(lens):
     s, X = world()
     K = s.K1  # OpenCV does not support skew
     d = None if lens is None else lens.numpy()

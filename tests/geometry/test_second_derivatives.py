@@ -1,4 +1,4 @@
-"""Second derivatives of solvers that are differentiated implicitly, against finite differences."""
+"""Second derivatives of implicitly differentiated solvers compared with finite differences."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def rand(*shape: int) -> Tensor:
 
 
 def signed(M: Tensor) -> Tensor:
-    """The matrix with its largest entry positive."""
+    """Return the matrix with a positive largest entry."""
     flat = M.detach().flatten()
     return M * flat[flat.abs().argmax()].sign()
 

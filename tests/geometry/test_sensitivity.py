@@ -48,7 +48,7 @@ def test_influence_agrees_with_refits_without_the_match(loss, scale):
         without = bundle_adjust(s.x1[kept], s.x2[kept], s.K1, s.K2, b.R, b.t, **options)
         change = torch.cat((so3_log(without.R @ b.R.T), tangent_basis(b.t).T @ without.t))
         errors.append(float((found.change[k] - change).norm() / change.norm()))
-    # One step of a non-linear problem; without the curvature of the loss it is off by 20 to 30 %.
+    # One step of a non-linear problem; without the curvature of the loss, the error is 20 to 30 %.
     assert sorted(errors)[5] < 0.06
     # Not the largest: with Huber's loss one is 0.32, for a match without which two others cross the
     # kink of the slope, where a Newton step is not accurate.

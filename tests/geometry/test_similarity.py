@@ -1,4 +1,4 @@
-"""Similarities: known ones found again, and least squares against a general optimiser."""
+"""Similarities compared with known transformations and a general optimiser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def points(batch: int, n: int = 30) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_found_again_batched(flat):
+def test_known_similarities_are_recovered_in_a_batch(flat):
     x, true = points(5), known(5)
     if flat:
         x[..., 2] = 0.3 * x[..., 0]
@@ -40,7 +40,7 @@ def test_found_again_batched(flat):
     assert torch.allclose(single.R, found.R[3], atol=1e-12)
 
 
-def test_least_squares():
+def test_the_fit_agrees_with_a_general_optimiser():
     x = points(1)[0]
     y = known(1).apply(x[None])[0] + 0.3 * torch.randn(
         30, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64
@@ -65,7 +65,7 @@ def test_least_squares():
     assert np.allclose(best.x, start, atol=1e-6)
 
 
-def test_never_a_reflection():
+def test_the_fit_is_never_a_reflection():
     x = points(1)[0]
     found = fit_similarity(x, x * torch.tensor([1.0, 1, -1], dtype=torch.float64))
     assert torch.linalg.det(found.R) == pytest.approx(1)

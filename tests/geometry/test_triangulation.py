@@ -1,5 +1,4 @@
-"""Triangulation against known points, OpenCV, kornia, least squares and brute-force
-minimisation."""
+"""Triangulation compared with known points, OpenCV, kornia and brute-force minimisation."""
 
 from __future__ import annotations
 
@@ -61,7 +60,7 @@ def test_exact_matches_give_the_points(method):
     torch.testing.assert_close(H.norm(dim=-1), torch.ones(50, dtype=D))
 
 
-def test_dlt_is_opencvs_and_kornias():
+def test_dlt_agrees_with_opencv_and_kornia():
     _, xn1, xn2, R, t = scene(noise=0.01)
     P1, P2 = projection_matrices(R, t)
     Y = cv2.triangulatePoints(P1, P2, xn1.numpy().T, xn2.numpy().T)
@@ -73,7 +72,7 @@ def test_dlt_is_opencvs_and_kornias():
     torch.testing.assert_close(ours, theirs[0], rtol=1e-9, atol=1e-9)
 
 
-def test_midpoint_is_nearest_to_both_rays():
+def test_the_midpoint_minimises_the_distances_from_both_rays():
     _, xn1, xn2, R, t = scene(10, noise=0.02)
     ours = triangulate_midpoint(xn1, xn2, R, t)
     for x1, x2, X in zip(xn1, xn2, ours):
@@ -86,7 +85,7 @@ def test_midpoint_is_nearest_to_both_rays():
         torch.testing.assert_close(X, torch.linalg.solve(Na + Nb, Nb @ c), rtol=1e-9, atol=1e-9)
 
 
-def test_optimal_is_the_brute_force_minimum():
+def test_optimal_agrees_with_the_brute_force_minimum():
     X, xn1, xn2, R, t = scene(25, noise=0.02, seed=3)
     ours = triangulate_optimal(xn1, xn2, R, t)
     R_, t_ = R.numpy(), t.numpy()
@@ -103,7 +102,7 @@ def test_optimal_is_the_brute_force_minimum():
         np.testing.assert_allclose(ours[k].numpy(), best.x, rtol=1e-3)
 
 
-def test_corrected_matches_meet_the_epipolar_constraint():
+def test_corrected_matches_satisfy_the_epipolar_constraint():
     _, xn1, xn2, R, t = scene(noise=0.02)
     (x1, y1), (x2, y2) = corrected_matches(xn1, xn2, R, t)
     h1, h2 = (torch.stack((x, y, torch.ones_like(x)), -1) for x, y in ((x1, y1), (x2, y2)))
@@ -139,7 +138,7 @@ def test_exactly_parallel_rays_and_the_epipole(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("baseline", [1.0, 1e-3])
-def test_float32_is_float64_rounded_once(method, baseline):
+def test_float32_agrees_with_rounded_float64(method, baseline):
     X, *rest = scene(baseline=baseline)
     rest32 = [a.float() for a in rest]
     exact = triangulate(*(a.double() for a in rest32), method)
@@ -147,7 +146,7 @@ def test_float32_is_float64_rounded_once(method, baseline):
     assert ours.dtype == torch.float32
     torch.testing.assert_close(ours, exact.float(), rtol=1e-6, atol=0)
     # What the rounding of the input itself does to the depth, 6e-8 over a parallax of baseline / 6,
-    # is not ours to mend.
+    # cannot be avoided.
     assert float(relative(ours.double(), X).max()) < 3e-6 / baseline
 
 
@@ -165,7 +164,7 @@ def test_parallax(dtype, tolerance, degrees):
 @pytest.mark.parametrize(
     "function", [*(lambda *a, m=m: triangulate(*a, m, True) for m in METHODS), parallax]
 )
-def test_a_batch_is_its_items(function):
+def test_a_batch_agrees_with_its_items(function):
     items = [scene(seed=s, noise=0.01)[1:] for s in range(3)]
     if function is parallax:
         items = [i[:3] for i in items]
@@ -183,7 +182,7 @@ def test_swapping_and_permuting(seed, method):
     _, xn1, xn2, R, t = scene(20, noise=0.01, seed=seed)
     X = triangulate(xn1, xn2, R, t, method)
     swapped = triangulate(xn2, xn1, R.T, -R.T @ t, method)
-    # DLT's algebraic error changes with the frame: its answer moves in second order of the noise.
+    # The algebraic error of the DLT depends on the frame: its result changes in second order.
     assert float(relative(swapped, X @ R.T + t).max()) < (1e-2 if method == "dlt" else 1e-6)
     order = torch.randperm(20, generator=torch.Generator().manual_seed(seed))
     torch.testing.assert_close(

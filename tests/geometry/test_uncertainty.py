@@ -28,8 +28,10 @@ GEOMETRIES = [
 def normalised_errors(
     trials: int, seed: int, geometry: tuple
 ) -> tuple[torch.Tensor, torch.Tensor, int]:
-    """Squared normalised errors of pose (trials,) and points (trials, N), over their 5 and 3
-    dimensions."""
+    """Return the squared normalised errors of pose (trials,) and points (trials, N).
+
+    They are divided by the dimensions, 5 and 3.
+    """
     n, noise, tilt, direction, depth = geometry
     g = torch.Generator().manual_seed(seed)
     K = torch.tensor([[1000.0, 0, 640], [0, 1000, 480], [0, 0, 1]], dtype=D).expand(trials, 3, 3)
@@ -61,7 +63,7 @@ def normalised_errors(
 
 
 def coverage(trials: int) -> dict[float, tuple[float, float]]:
-    """Share of trials whose truth lies in the region of each level: pose, points."""
+    """Return the share of trials whose truth lies in the region of each level: pose, points."""
     inside: dict[float, tuple[list, list]] = {0.68: ([], []), 0.95: ([], [])}
     for seed, geometry in enumerate(GEOMETRIES):
         pose, points, dof = normalised_errors(trials, seed, geometry)
@@ -154,7 +156,7 @@ def test_a_batch_and_vmap_agree_with_single_problems():
 
 def test_vmap_gives_nan_where_the_pose_is_undetermined():
     x1, x2, *cameras = scene_tensors(range(2))
-    x1[1], x2[1] = x1[1, :1], x2[1, :1]  # one match thirty times over
+    x1[1], x2[1] = x1[1, :1], x2[1, :1]  # one match thirty times
     pose, points, _ = torch.func.vmap(of_matches)(x1, x2, *cameras)
     assert pose[0].isfinite().all()
     assert points[0].isfinite().all()
@@ -180,7 +182,7 @@ def test_an_undetermined_problem_raises():
     with pytest.raises(DegenerateGeometryError, match="no degrees of freedom"):
         covariance(bundle_adjust(s.x1, s.x2, s.K1, s.K2, s.R, s.t, max_iterations=3))
     one = make_scene(1)
-    x1, x2 = one.x1.expand(10, 2), one.x2.expand(10, 2)  # one match ten times over
+    x1, x2 = one.x1.expand(10, 2), one.x2.expand(10, 2)  # one match ten times
     with pytest.raises(DegenerateGeometryError, match="do not determine the pose"):
         covariance(bundle_adjust(x1, x2, s.K1, s.K2, s.R, s.t, max_iterations=3))
 

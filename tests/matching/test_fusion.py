@@ -1,4 +1,4 @@
-"""Fusion against a plain sequential rendering of its rule, and its promises as properties."""
+"""Fusion compared with a sequential implementation of its rule, and its properties."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZE = (3000, 2000)
 
 
 def operator(x1, x2, ratio=None, name="test", size_wh=SIZE) -> tuple[Features, Features, Matches]:
-    """Features and matches of which row k of `x1` is matched to row k of `x2`."""
+    """Return features and matches in which row k of `x1` is matched to row k of `x2`."""
     x1, x2 = (np.asarray(x, np.float32).reshape(-1, 2) for x in (x1, x2))
     n = len(x1)
     ratio = np.full(n, np.nan, np.float32) if ratio is None else np.asarray(ratio, np.float32)
@@ -36,7 +36,7 @@ def operator(x1, x2, ratio=None, name="test", size_wh=SIZE) -> tuple[Features, F
 
 
 def rows(matches):
-    """Every input correspondence: position (4,), ratio, operator's name, row."""
+    """Return every input correspondence: position (4,), ratio, name of the operator, row."""
     return [
         (np.r_[f1.keypoints[i], f2.keypoints[j]].astype(np.float64), float(r), name, int(i), int(j))
         for name, (f1, f2, m) in matches.items()
@@ -50,8 +50,10 @@ def coincide(p, q, radius):
 
 
 def sequential(matches, radius):
-    """{(operator, row): operators it stands for}: best first, each absorbs what coincides and is
-    not yet taken."""
+    """Return {(operator, row): operators that it represents} by a sequential search.
+
+    In the order of quality, each match absorbs those that coincide with it and are not yet absorbed.
+    """
     items = sorted(
         rows(matches), key=lambda r: (np.isnan(r[1]), 0 if np.isnan(r[1]) else r[1], *r[2:])
     )
@@ -76,8 +78,10 @@ def found_by(c: Correspondences):
 
 @st.composite
 def crowded(draw):
-    """One to four operators on a small patch with a coarse grid, so that coincidence, equal ratios
-    and chains abound."""
+    """Draw one to four operators on a small patch with a coarse grid.
+
+    Coincidences, equal ratios and chains are therefore frequent.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
     extent, step = draw(st.sampled_from([3, 8, 20])), draw(st.sampled_from([1.0, 0.25, 1e-3]))
     matches = {}
@@ -92,14 +96,14 @@ def crowded(draw):
 
 @settings(max_examples=200, deadline=None)
 @given(crowded())
-def test_is_the_sequential_rule(case):
+def test_fusion_agrees_with_the_sequential_rule(case):
     matches, radius = case
     assert found_by(fuse(matches, merge_radius=radius)) == sequential(matches, radius)
 
 
 @settings(max_examples=100, deadline=None)
 @given(crowded())
-def test_keeps_its_promises(case):
+def test_fusion_has_its_documented_properties(case):
     matches, radius = case
     c = fuse(matches, merge_radius=radius)
     kept = torch.hstack([c.x1, c.x2]).numpy()
@@ -184,7 +188,7 @@ def test_the_most_distinctive_is_kept():
     assert [c.counts[name].merged for name in matches] == [1, 0, 1]
 
 
-def test_the_radius_holds_in_both_images_and_a_conflict_stays():
+def test_the_radius_applies_to_both_images_and_conflicts_are_kept():
     matches = {
         "a": operator([[10, 10], [50, 50]], [[20, 20], [60, 60]], [0.5, 0.5]),
         "b": operator([[10, 10], [51, 50]], [[21.01, 20], [60, 59]], [0.6, 0.6]),
@@ -195,8 +199,8 @@ def test_the_radius_holds_in_both_images_and_a_conflict_stays():
     assert len(fuse(diagonal, merge_radius=1.0)) == 2, "the radius is Euclidean, not a box"
 
 
-def test_chains_do_not_grow_together():
-    """Twenty points 0.9 px apart: single linkage would make one of them."""
+def test_chains_are_not_merged_into_one():
+    """Single linkage would merge twenty points at distances of 0.9 px into one."""
     x = np.c_[np.arange(20) * 0.9, np.zeros(20)]
     c = fuse({"a": operator(x, x, np.linspace(0.1, 0.9, 20))}, merge_radius=1.0)
     np.testing.assert_allclose(c.x1[:, 0], x[::2, 0], rtol=1e-6)
@@ -214,7 +218,7 @@ def test_operators_that_found_nothing_keep_their_bit():
     assert len(fuse({"none": empty})) == 0
 
 
-def test_refuses_what_does_not_belong_together():
+def test_matches_that_do_not_belong_together_are_rejected():
     one = operator([[1, 1]], [[2, 2]])
     with pytest.raises(InputError, match="nothing to fuse"):
         fuse({})
@@ -229,7 +233,7 @@ def test_refuses_what_does_not_belong_together():
         fuse({str(k): one for k in range(63)})
 
 
-def test_fifty_thousand_matches_take_a_moment():
+def test_fusion_of_fifty_thousand_matches_is_fast():
     rng = np.random.default_rng(0)
     corners = rng.uniform(0, SIZE, (20_000, 2))
     matches = {}

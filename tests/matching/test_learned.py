@@ -1,4 +1,4 @@
-"""LightGlue against kornia's own loader and on the bundled pair, whose true pose is known."""
+"""LightGlue compared with kornia's own loader, and on the bundled pair with a known pose."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def photos(demo_images):
-    """The bundled pair at half its size."""
+    """Return the bundled pair at half its size."""
     half = {"dsize": None, "fx": 0.5, "fy": 0.5, "interpolation": cv2.INTER_AREA}
     return [cv2.resize(read_image(path).rgb, **half) for path in demo_images]
 
 
-def test_matches_are_those_of_kornia(photos, tmp_path, monkeypatch):
+def test_matches_agree_with_kornia(photos, tmp_path, monkeypatch):
     from kornia.feature import LightGlue
 
     (tmp_path / "checkpoints").mkdir()
@@ -75,7 +75,7 @@ def test_most_matches_lie_on_the_true_epipolar_lines(photos, name, demo_fundamen
     assert (distance < 8).mean() > SHARES[name][1]
 
 
-def test_features_it_was_not_trained_for_are_refused(photos):
+def test_features_of_other_operators_are_rejected(photos):
     orb = detect(photos[0], "orb")
     with pytest.raises(InputError, match="not trained for 'orb'"):
         lightglue(orb, orb)

@@ -1,4 +1,4 @@
-"""Matching against brute force in float64 and against OpenCV's cross-check."""
+"""Matching compared with brute force in float64 and with OpenCV's cross-check."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def distances(a, b, norm):
 
 
 def brute_force(a, b, norm, mutual=True):
-    """index1, index2, distance, ratio; argmin takes the lowest of equal candidates."""
+    """Return index1, index2, distance, ratio; argmin selects the lowest of equal candidates."""
     d = distances(a, b, norm)
     j = d.argmin(1)
     i = np.arange(len(a))
@@ -102,7 +102,7 @@ def test_equals_brute_force(norm, n1, n2, mutual):
     [("l2", 64), ("l2", 128), ("hamming", 16), ("hamming", 32), ("hamming", 61), ("hamming", 64)],
 )
 def test_equals_opencv(norm, width):
-    """Noisy copies among strangers, so that there is something to find; bits are full of ties."""
+    """Mix noisy copies with other descriptors, so that there are matches and, for bits, ties."""
     rng = np.random.default_rng(width)
     if norm == "l2":
         a = unit(rng, 3000, width)
@@ -131,7 +131,7 @@ def test_equals_opencv(norm, width):
     mutual=st.booleans(),
 )
 def test_ties_go_to_the_lowest_row(norm, n1, n2, levels, seed, mutual):
-    """Few values and few columns: nearly every nearest neighbour is a tie."""
+    """With few values and few columns, nearly every nearest neighbour is a tie."""
     rng = np.random.default_rng(seed)
     dtype = np.float32 if norm == "l2" else np.uint8
     a, b = (rng.integers(0, levels, (n, 2)).astype(dtype) for n in (n1, n2))
@@ -141,9 +141,11 @@ def test_ties_go_to_the_lowest_row(norm, n1, n2, levels, seed, mutual):
 
 
 @pytest.mark.parametrize("scale,offset", [(1.0, 0.0), (1e-3, 0.0), (100.0, 0.0), (1.0, 50.0)])
-def test_neighbours_closer_together_than_float32_products_can_tell(scale, offset):
-    """Both images hold clusters whose members differ by 1e-4: |a|² + |b|² - 2ab alone orders them
-    at random."""
+def test_neighbours_that_float32_products_cannot_distinguish(scale, offset):
+    """Match clusters whose members differ by 1e-4.
+
+    The formula |a|² + |b|² - 2ab alone would order them at random.
+    """
     rng = np.random.default_rng(5)
     centres = unit(rng, 150)
     cluster = lambda: np.repeat(centres, 8, axis=0) + rng.normal(0, 1e-4, (1200, 64))  # noqa: E731
@@ -156,7 +158,7 @@ def test_neighbours_closer_together_than_float32_products_can_tell(scale, offset
     )
 
 
-def test_more_equal_descriptors_than_are_measured_one_by_one():
+def test_more_equal_descriptors_than_are_compared_exactly():
     a = np.full((700, 5), 0.3, np.float32)
     m = match(features(a), features(a[:400]))
     assert (m.index1.tolist(), m.index2.tolist(), m.distance.tolist(), m.ratio.tolist()) == (
@@ -230,7 +232,7 @@ def test_a_sole_candidate_has_no_ratio_and_fails_the_ratio_test():
     assert len(match(a, b, max_ratio=1.0)) == 0
 
 
-def test_laplacian_signs_are_matched_apart():
+def test_only_features_with_equal_laplacian_signs_are_matched():
     rng = np.random.default_rng(4)
     d1, d2 = unit(rng, 600, 16), unit(rng, 500, 16)
     s1, s2 = (rng.choice(np.int8([-1, 1]), n) for n in (600, 500))
@@ -248,7 +250,7 @@ def test_laplacian_signs_are_matched_apart():
     assert_equals(ungated, brute_force(d1, d2, "l2"))
 
 
-def test_a_sign_that_only_one_image_has_matches_nothing():
+def test_a_sign_that_occurs_in_one_image_only_has_no_matches():
     d = np.eye(2, dtype=np.float32)
     m = match(features(d, laplacian=np.int8([1, 1])), features(d, laplacian=np.int8([-1, 1])))
     assert (m.index1.tolist(), m.index2.tolist()) == ([1], [1])
@@ -260,7 +262,7 @@ def test_a_sign_that_only_one_image_has_matches_nothing():
 
 @pytest.mark.parametrize("n1,n2", [(0, 5), (5, 0), (0, 0)])
 @pytest.mark.parametrize("norm", ["l2", "hamming"])
-def test_no_features_no_matches(norm, n1, n2):
+def test_without_features_there_are_no_matches(norm, n1, n2):
     dtype = np.float32 if norm == "l2" else np.uint8
     sign = lambda n: np.ones(n, np.int8)  # noqa: E731
     for laplacian in (lambda n: None, sign):
@@ -271,7 +273,7 @@ def test_no_features_no_matches(norm, n1, n2):
         assert len(m) == 0
 
 
-def test_what_cannot_be_compared_is_refused():
+def test_features_that_are_not_comparable_are_rejected():
     a = features(np.zeros((3, 8), np.float32))
     with pytest.raises(InputError, match="different operator"):
         match(a, features(np.zeros((3, 8), np.float32), operator="other"))

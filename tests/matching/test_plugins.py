@@ -22,7 +22,7 @@ def test_a_choice_for_all_operators_stays(matchers):
     assert canonical_matchers(matchers) == matchers
 
 
-def test_an_unknown_operator_is_refused():
+def test_an_unknown_operator_is_rejected():
     with pytest.raises(OperatorError, match="nonsense"):
         canonical_matchers({"nonsense": "nearest"})
 

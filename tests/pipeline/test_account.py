@@ -1,4 +1,4 @@
-"""The account adds up, on numbers counted by hand."""
+"""Per-operator statistics compared with numbers counted by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sfmkit.pipeline.account import ALL, make_account
 from sfmkit.types import Correspondences, OperatorCounts, PointCloud
 
 
-def test_a_small_account_by_hand():
+def test_small_statistics_computed_by_hand():
     # Six correspondences of operators a and b; the third was found by both. Five inliers, four
     # points.
     mask = torch.tensor([1, 1, 3, 2, 2, 2])
@@ -63,7 +63,7 @@ def test_a_small_account_by_hand():
     assert (both.share_initial, both.share_points, both.loss) == (1, 1, 1 - 4 / 6)
 
 
-def test_nothing_at_all_has_an_account_too():
+def test_an_empty_result_has_statistics_too():
     empty = torch.zeros(0, dtype=torch.int64)
     none = torch.zeros(0, dtype=torch.float64)
     corr = Correspondences(

@@ -1,4 +1,4 @@
-"""The explorer against the rendered truth and OpenCV, and its widgets without a notebook server."""
+"""The explorer compared with the rendered truth and OpenCV, and its widgets."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def true_pixel(truth, x1, depth):
 
 
 @pytest.mark.parametrize("x1", [(300.0, 400.0), (800.5, 600.25), (1400.0, 1000.0)])
-def test_the_line_passes_where_the_rendered_scene_says(result, truth, x1):
+def test_the_line_passes_through_the_rendered_position(result, truth, x1):
     view = EpipolarExplorer(result).look(x1)
     for depth in (4.0, 9.0, 40.0):
         x2 = true_pixel(truth, x1, depth)
@@ -56,7 +56,7 @@ def test_the_line_passes_where_the_rendered_scene_says(result, truth, x1):
     assert np.allclose(np.cross(view.ray, np.linalg.inv(truth.K) @ [*x1, 1]), 0, atol=1e-12)
 
 
-def test_candidates_lie_in_the_band_and_none_is_missed(result):
+def test_the_candidates_are_exactly_the_keypoints_in_the_band(result):
     explorer = EpipolarExplorer(result, band_px=3.0)
     view = explorer.look((700.0, 500.0))
     expected = 0
@@ -95,7 +95,7 @@ def test_an_inlier_is_found_from_its_own_pixel_with_its_point(result):
     assert "its point lies at" in view.describe()
 
 
-def test_nothing_near_is_said(result):
+def test_a_pixel_without_a_match_is_described_as_such(result):
     view = EpipolarExplorer(result, reach_px=1e-6).look((10.0, 10.0))
     assert view.match is view.X is view.residual_px is None
     assert "no inlier" in view.describe()
@@ -117,12 +117,12 @@ def test_selections_of_the_viewer_become_pixels(result):
 
 
 @pytest.mark.parametrize("x1", [(-3, 5), (1600, 5), (np.nan, 5), (1, 2, 3)])
-def test_bad_pixels_are_bad_input(result, x1):
+def test_invalid_pixels_are_rejected(result, x1):
     with pytest.raises(InputError, match="pixel"):
         EpipolarExplorer(result).look(x1)
 
 
-def test_bad_keypoints_are_bad_input(result):
+def test_invalid_keypoints_are_rejected(result):
     explorer = EpipolarExplorer(result)
     with pytest.raises(InputError, match="was not used"):
         explorer.keypoint("sift", 0)
@@ -130,7 +130,7 @@ def test_bad_keypoints_are_bad_input(result):
         explorer.keypoint("orb", 10**6)
 
 
-def test_a_click_draws_the_line_and_a_slider_answers_at_once(result):
+def test_a_click_draws_the_line_and_a_slider_responds_quickly(result):
     widgets = pytest.importorskip("sfmkit.notebook.widgets")
     widget = widgets.EpipolarWidget(result)
     assert widget.view is None
@@ -151,14 +151,12 @@ def test_a_click_draws_the_line_and_a_slider_answers_at_once(result):
     start, end = np.array([[float(v) for v in p.split(",")] for p in ray.split()])
     w, h = widget.above.size
     assert 0 < start[0] < w
-    assert (
-        0 < end[1] < start[1] < h
-    )  # from camera 1 into the scene, which lies higher in the picture
+    assert 0 < end[1] < start[1] < h  # from camera 1 into the scene (upwards)
     widget.left.clicked = [-50.0, 0.0]
     assert "outside image 1" in widget.words.value
 
 
-def test_a_selected_keypoint_is_answered_like_a_click(result):
+def test_a_selected_keypoint_is_handled_like_a_click(result):
     widgets = pytest.importorskip("sfmkit.notebook.widgets")
     widget = widgets.EpipolarWidget(result)
     callbacks, rays = [], []
@@ -190,7 +188,7 @@ def test_the_scene_from_above_has_one_scale(result):
     assert np.hypot(dark[1] - origin[0], dark[0] - origin[1]).min() < 3  # the mark of camera 1
 
 
-def test_a_slider_draws_its_value_anew():
+def test_a_slider_redraws_the_figure():
     widgets = pytest.importorskip("sfmkit.notebook.widgets")
     drawn = []
 

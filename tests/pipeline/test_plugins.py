@@ -1,4 +1,4 @@
-"""Plug-ins of an installed package in the main job, in Python and on the command line."""
+"""Plug-ins of an installed package in reconstructions, in Python and on the command line."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ QUICK = replace(DEFAULT, detect=replace(DEFAULT.detect, budget=1500, max_size=80
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """A folder with an installed package: a module, and the metadata that pip writes."""
+    """Make a folder with an installed package: a module and the metadata that pip writes."""
     folder = tmp_path_factory.mktemp("site")
     (folder / "made_up_plugins.py").write_text(MODULE)
     info = folder / "made_up_plugins-1.5.dist-info"
@@ -118,7 +118,7 @@ def test_entry_points_and_import_paths_in_python(installed):
     assert "made-up-plugins 1.5" in used["estimators"]["made-up-estimator"]
 
 
-def test_the_command_line_takes_them_all(site, tmp_path):
+def test_the_command_line_accepts_all_kinds_of_plug_ins(site, tmp_path):
     image1, image2, truth = (str(path) for path in demo_pair())
     root = os.path.dirname(os.path.dirname(sfmkit.__file__))
     out = tmp_path / "out"
@@ -141,7 +141,7 @@ def test_the_command_line_takes_them_all(site, tmp_path):
     assert (out / "recording.rrd").stat().st_size > 0
 
 
-def test_the_digest_follows_the_source(site, installed):
+def test_the_digest_changes_with_the_source(site, installed):
     before = OPERATOR_PLUGINS.provenance("made-up-corners")
     path = site / "made_up_plugins.py"
     text = path.read_text()
@@ -255,7 +255,7 @@ def test_the_error_of_a_wrong_estimator_names_it(estimator, reason):
         ESTIMATOR_PLUGINS.unregister("wrong-one")
 
 
-def test_an_estimator_of_essential_matrices_only_is_not_asked_for_others():
+def test_an_estimator_of_essential_matrices_is_not_called_for_other_models():
     register_estimator("only-e", lambda x1, x2, K1, K2: RobustModel.failed(len(x1)))
     x = torch.rand(9, 2, dtype=torch.float64)
     try:
@@ -314,7 +314,7 @@ def test_an_estimator_gets_its_own_options():
         ({"operators": ("cv2:__version__",)}, "not callable"),
     ],
 )
-def test_wrong_names_are_found_before_the_work_starts(settings, message, monkeypatch):
+def test_wrong_names_are_rejected_before_the_work_starts(settings, message, monkeypatch):
     monkeypatch.setattr(cv2, "cvtColor", broken)  # no image is read
     with pytest.raises(InputError, match=message):
         reconstruct("no-image.png", "no-image.png", **{"operators": ("orb",), **settings})
@@ -345,7 +345,7 @@ def test_budget_mask_and_size_are_applied_to_a_plug_in():
         OPERATOR_PLUGINS.unregister("grid")
 
 
-def test_built_in_plug_ins_take_part_in_the_same_registries():
+def test_built_in_plug_ins_are_in_the_same_registries():
     assert {"surf", "orb", "fast-brief", "xfeat"} <= set(OPERATOR_PLUGINS)
     assert "nearest" in MATCHER_PLUGINS
     assert set(ESTIMATOR_PLUGINS) >= {"torch", "opencv", "poselib", "pycolmap"}

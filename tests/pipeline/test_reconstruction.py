@@ -1,4 +1,4 @@
-"""The main job on real photographs with ground truth, and what must hold on any."""
+"""Reconstruction of real photographs with ground truth, and general properties."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def quick(demo):
     )
 
 
-def test_points_reproject_where_they_were_seen(quick):
+def test_points_reproject_to_the_observed_pixels(quick):
     view, cloud, corr = quick.two_view, quick.cloud, quick.correspondences
     K = torch.tensor(view.camera1.K)
     for X, x in ((cloud.xyz, corr.x1), (cloud.xyz @ view.R.mT + view.t, corr.x2)):
@@ -46,7 +46,7 @@ def test_points_reproject_where_they_were_seen(quick):
     assert quick.errors["translation_deg"] < 0.4
 
 
-def test_the_standard_deviations_are_of_the_size_of_the_errors(quick):
+def test_the_standard_deviations_agree_with_the_errors_in_magnitude(quick):
     rotation, translation = quick.two_view.sigma_deg
     assert quick.errors["rotation_deg"] < 5 * rotation
     assert quick.errors["translation_deg"] < 5 * translation
@@ -75,9 +75,11 @@ def test_a_camera_may_be_given_as_an_array(demo, quick):
     assert torch.equal(again.two_view.R, quick.two_view.R)
 
 
-def test_distortion_is_taken_out(demo, quick):
-    """Photographs bent by a known lens give the same pose when the lens is given, and a worse one
-    when it is not."""
+def test_distortion_is_removed(demo, quick):
+    """Compare photographs distorted by a known lens, with and without its coefficients.
+
+    The pose is the same if the lens is given, and worse otherwise.
+    """
     import cv2
 
     K, d = quick.two_view.camera1.K, np.array([-0.12, 0.03, 0.0, 0.0, 0.0])
@@ -132,7 +134,7 @@ def within_a_pixel(result, camera, truth) -> float:
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_fountain_by_the_default_preset(fountain):
+def test_fountain_with_the_default_preset(fountain):
     paths, camera, truth = fountain
     result = reconstruct(*paths, camera, options=DEFAULT, truth=truth)
     assert result.two_view.verdict is Verdict.GENERAL
@@ -144,9 +146,11 @@ def test_fountain_by_the_default_preset(fountain):
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_fountain_by_the_paper(fountain):
-    """The counts of the paper's Table 6, as close as a reading of it comes; without merging the
-    operators add up."""
+def test_fountain_with_the_settings_of_the_paper(fountain):
+    """Compare the counts with Table 6 of the paper, as closely as it can be interpreted.
+
+    Without merging, the numbers of the operators add up to the total.
+    """
     paths, camera, truth = fountain
     result = reconstruct(*paths, camera, options=PAPER, truth=truth)
     account = result.account
@@ -176,7 +180,7 @@ def test_drone_photographs_with_the_camera_from_exif_alone(data_dir, first):
     assert result.two_view.camera1.source.startswith("exif")
     assert result.two_view.verdict in (Verdict.GENERAL, Verdict.PLANAR)
     assert len(result.cloud) > 5_000
-    # Nadir photographs of a drone in level flight: it hardly turns about its horizontal axes and
+    # Nadir photographs of a drone in level flight: it hardly rotates about its horizontal axes and
     # does not dive.
     assert abs(float(result.two_view.t[2])) < 0.2
     assert result.reprojection_rmse_px < 0.6

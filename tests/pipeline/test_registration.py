@@ -1,4 +1,4 @@
-"""register(): the homography against a known one, and honest refusals."""
+"""register(): homographies compared with known ones, and cases without a homography."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def correspondences(x1, x2, ratio, operator_id=None) -> Correspondences:
 
 
 def a_few_among_many(right: int, wrong: int, seed=0, noise=0.7):
-    """Right matches, mostly with small ratios, among wrong ones: ratios as in real images."""
+    """Return correct matches among wrong ones, with ratios as in real images."""
     g = torch.Generator().manual_seed(seed)
     size = torch.tensor([800.0, 640.0], dtype=torch.float64)
     x1 = torch.rand(right + wrong, 2, generator=g, dtype=torch.float64) * size
@@ -98,7 +98,7 @@ def test_different_scenes_are_too_little_evidence():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_three_percent_of_right_matches_suffice(seed):
+def test_three_percent_of_correct_matches_suffice(seed):
     corr = a_few_among_many(150, 5000, seed)
     fit = estimate_planar(corr, seed=seed)
     assert fit.H is not None
@@ -114,7 +114,7 @@ def test_chance_alone_gives_no_homography(seed):
     assert fit.evidence["log10_false_alarms"] > -6
 
 
-def test_a_cluster_is_one_coincidence():
+def test_a_cluster_of_matches_is_not_evidence_of_a_homography():
     """Fifty matches of one detail agree on many homographies and are evidence of none."""
     corr = a_few_among_many(0, 1000)
     x1, x2 = corr.x1.clone(), corr.x2.clone()
@@ -134,8 +134,10 @@ def test_few_matches_and_bad_options():
 
 
 def test_refinement_is_least_squares_for_small_noise():
-    """Far from the threshold the loss is nearly quadratic: a perturbed start ends at OpenCV's
-    least-squares solution."""
+    """Compare with OpenCV's least-squares solution from a perturbed start.
+
+    Far below the threshold, the loss is almost quadratic.
+    """
     corr = a_few_among_many(400, 0, noise=0.05)
     T = torch.from_numpy(H_TRUE.copy())
     start = T + torch.tensor([[1e-3, 0, 0.5], [0, -1e-3, 0.5], [1e-6, 0, 0]], dtype=torch.float64)
@@ -151,7 +153,7 @@ def test_refinement_is_least_squares_for_small_noise():
     )
 
 
-def test_refinement_weights_pick_the_matches():
+def test_the_weights_determine_which_matches_are_fitted():
     corr = a_few_among_many(200, 0, noise=0.0)
     x2 = corr.x2.clone()
     x2[100:] += 1.0
@@ -167,7 +169,7 @@ def test_refinement_weights_pick_the_matches():
     )
 
 
-def test_guided_matches_lie_where_they_should_and_are_mutual(images):
+def test_guided_matches_are_near_their_predicted_positions_and_mutual(images):
     f1, f2 = (detect(image, "orb") for image in images)
     m = match_guided(f1, f2, H_TRUE, radius_px=3.0, max_distance=64)
     predicted = transfer(
@@ -186,9 +188,11 @@ def test_guided_matches_lie_where_they_should_and_are_mutual(images):
         match_guided(f1, f2, H_TRUE, radius_px=0)
 
 
-def test_guidance_improves_weak_matches(images, monkeypatch):
-    """With the guided matches of both rounds more features agree than the whole image's nearest
-    neighbours found."""
+def test_guided_matching_finds_more_matches_of_a_weak_operator(images, monkeypatch):
+    """Compare with the nearest neighbours over the whole image.
+
+    More features agree after the two rounds of guided matching.
+    """
     r = register(*images, operators=("orb",))
     assert len(r.guided) > int(r.inliers.sum()) * 0.9
     monkeypatch.setattr(registration, "_LEAST_INLIERS", 10**9)
