@@ -52,7 +52,7 @@ def coincide(p, q, radius):
 def sequential(matches, radius):
     """Return {(operator, row): operators that it represents} by a sequential search.
 
-    In the order of quality, each match absorbs those that coincide with it and are not yet absorbed.
+    In the order of quality, each match absorbs those that coincide with it and are still free.
     """
     items = sorted(
         rows(matches), key=lambda r: (np.isnan(r[1]), 0 if np.isnan(r[1]) else r[1], *r[2:])
