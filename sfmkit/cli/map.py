@@ -31,6 +31,14 @@ from .progress import resumable
     help="Keep points that only two photographs show, as for two photographs always.",
 )
 @click.option(
+    "--mapper-threads",
+    type=click.IntRange(1, 1024),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Threads of COLMAP's mapper. With more than one the model varies slightly between runs.",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=Path("out/map"),
@@ -38,7 +46,13 @@ from .progress import resumable
     help="Folder to write.",
 )
 def map_command(
-    out: Path, overwrite: bool, quiet: bool, mapper: Any, two_view_points: bool, **given: Any
+    out: Path,
+    overwrite: bool,
+    quiet: bool,
+    mapper: Any,
+    two_view_points: bool,
+    mapper_threads: int,
+    **given: Any,
 ) -> None:
     """Reconstruct cameras and points of the photographs in FOLDER by COLMAP's mapper.
 
@@ -60,10 +74,11 @@ def map_command(
 
         began = time.perf_counter()
         matched = match(watch, check=check_cameras, **given)
+        two_view_points = two_view_points or len(matched.plan.collection) == 2
         report = write_map(
             matched,
             out,
-            MapOptions(mapper, two_view_points or len(matched.plan.collection) == 2, given["seed"]),
+            MapOptions(mapper, two_view_points, given["seed"], mapper_threads),
             overwrite=overwrite,
             seconds={"pairs": time.perf_counter() - began},
             command=shlex.join(["sfmkit", *sys.argv[1:]]),

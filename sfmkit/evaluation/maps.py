@@ -275,15 +275,21 @@ def _figures(model: Any, scene: MapScene) -> Row:
 
 
 def pose_errors_of(poses: Mapping[str, Pose], truth: Mapping[str, Pose]) -> Row:
-    """Compute pose errors after the alignment by a similarity.
+    """Compute errors of positions and rotations after the alignment of the positions.
+
+    The similarity of the alignment is fitted to the positions only. If the cameras are nearly on a
+    line, the positions determine the rotation about it badly, and all cameras share its error.
+    Therefore the errors are also stated after the best common rotation is removed, which minimises
+    the sum of squared differences of the rotation matrices.
 
     Args:
         poses, truth: Name -> R and t, ``X_camera = R X_world + t``.
 
     Returns:
-        Median and largest errors ``position_mm``, ``position_worst_mm``, ``rotation_deg`` and
-        ``rotation_worst_deg``; empty if fewer than three photographs are in both mappings, or the
-        cameras lie on a line.
+        ``position_mm``, ``position_worst_mm``, ``rotation_deg``, ``rotation_worst_deg``: median
+        and largest error; ``rotation_common_deg``, the angle of the common rotation, and
+        ``rotation_rest_deg``, the median without it. Empty where fewer than three photographs are
+        known to both.
     """
     names = [name for name in poses if name in truth]
     stack = {
@@ -303,10 +309,17 @@ def pose_errors_of(poses: Mapping[str, Pose], truth: Mapping[str, Pose]) -> Row:
     except DegenerateGeometryError:  # cameras on a line
         return {}
     away = (similarity.apply(centres) - true_centres).norm(dim=1) * 1000
-    angle = rotation_error(R @ similarity.R.mT, R0)
+    aligned = R @ similarity.R.mT
+    angle = rotation_error(aligned, R0)
+    U, _, Vh = torch.linalg.svd((aligned.mT @ R0).sum(0))
+    sign = torch.linalg.det(U @ Vh).sign()
+    common = U @ torch.diag(torch.stack([sign.new_ones(()), sign.new_ones(()), sign])) @ Vh
+    eye = torch.eye(3, dtype=common.dtype)
     return {
         "position_mm": float(away.median()),
         "position_worst_mm": float(away.max()),
         "rotation_deg": float(angle.median()),
         "rotation_worst_deg": float(angle.max()),
+        "rotation_common_deg": float(rotation_error(common, eye)),
+        "rotation_rest_deg": float(rotation_error(aligned @ common, R0).median()),
     }

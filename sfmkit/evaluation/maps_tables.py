@@ -19,6 +19,8 @@ _COLUMNS = (
     (Column("worst (mm)", ".2f"), "position_worst_mm"),
     (Column("rotation, median (deg)", ".4f"), "rotation_deg"),
     (Column("worst (deg)", ".4f"), "rotation_worst_deg"),
+    (Column("common rotation (deg)", ".4f"), "rotation_common_deg"),
+    (Column("rotation without it, median (deg)", ".4f"), "rotation_rest_deg"),
     (Column("pairs (s of processor)", ".0f"), "pairs_cpu_s"),
     (Column("mapping (s)", ".0f"), "map_s"),
 )
@@ -39,7 +41,8 @@ def maps_result(rows: Sequence[Row], command: str) -> Result:
             "mapper. Given intrinsics are held fixed.",
             "Error is COLMAP's mean reprojection error, in pixels of the photographs. Positions "
             "and rotations are compared with the truth after the alignment of the positions by a "
-            "similarity.",
+            "similarity. The common rotation is the part of the rotation errors that all cameras "
+            "share; positions near a line determine the rotation about it badly.",
             "Processor time of the pairs is that of detection, matching and two-view geometry. "
             "The mapping time is wall time and depends on the load of the machine.",
         ),

@@ -28,18 +28,21 @@ class MapOptions:
         mapper: ``incremental`` or ``global``.
         two_view_points: Keep points that only two photographs show. COLMAP leaves them out, and
             they are the majority; a dense method does without them.
-        seed: Of the mapper; the same seed gives the same model with one thread only.
-        threads: Of the mapper; -1 for all.
+        seed: Of the mapper.
+        threads: Of the mapper; -1 for all. With several threads the bundle adjustment adds in an
+            order that varies, and so does the model from run to run.
     """
 
     mapper: Mapper = "incremental"
     two_view_points: bool = False
     seed: int = 0
-    threads: int = -1
+    threads: int = 1
 
     def __post_init__(self) -> None:
         if self.mapper not in ("incremental", "global"):
             raise InputError(f"the mapper must be 'incremental' or 'global', not {self.mapper!r}")
+        if self.threads < 1 and self.threads != -1:
+            raise InputError(f"threads must be at least 1, or -1 for all, not {self.threads}")
 
 
 def run_mapper(

@@ -45,6 +45,22 @@ def test_a_turned_camera_has_the_error_of_its_turn():
     assert errors["position_worst_mm"] < 1e-5
 
 
+def test_the_rotation_that_all_cameras_share_is_separated_from_the_rest():
+    """Cameras at the right places, turned by 0.4 degrees in the world, one of them by 0.1 more."""
+    truth = cameras()
+    turn = Rotation.from_rotvec(np.radians([0.0, 0.24, 0.32])).as_matrix()
+    found = {}
+    for name, (R, t) in truth.items():
+        own = Rotation.from_rotvec([np.radians(0.1 if name == "0.jpg" else 0), 0, 0]).as_matrix()
+        turned = own @ R @ turn
+        found[name] = (turned, -turned @ (-R.T @ t))
+    errors = pose_errors_of(found, truth)
+    assert errors["rotation_deg"] == pytest.approx(0.4, abs=1e-4)
+    assert errors["rotation_common_deg"] == pytest.approx(0.4, abs=0.02)
+    assert errors["rotation_rest_deg"] == pytest.approx(0.1 / 6, abs=1e-3)  # the mean's part
+    assert errors["position_worst_mm"] < 1e-5
+
+
 def test_two_cameras_have_no_error_to_speak_of():
     truth = cameras()
     assert pose_errors_of({"0.jpg": truth["0.jpg"], "1.jpg": truth["1.jpg"]}, truth) == {}
