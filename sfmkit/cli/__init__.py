@@ -1,4 +1,4 @@
-"""The ``sfmkit`` command: one module per subcommand, imported when it runs."""
+"""The command ``sfmkit``: one module per subcommand, imported when the subcommand runs."""
 
 from .main import main
 

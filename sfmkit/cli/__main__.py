@@ -1,4 +1,4 @@
-"""``python -m sfmkit.cli``."""
+"""Entry point of ``python -m sfmkit.cli``."""
 
 from . import main
 

@@ -1,9 +1,9 @@
-"""``sfmkit bench``: the paper's experiments, rerun."""
+"""``sfmkit bench``: the experiments of the paper, and benchmarks on other data."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,19 @@ import click
 from click.core import ParameterSource
 
 from .._utils.progress import Progress
-from .parsing import matchers as parse_matchers
-from .parsing import names, parse_shard
+from .bench_options import (
+    BACKEND,
+    DATA,
+    MATCHER,
+    MAX_SIZE,
+    OPERATORS,
+    OUT,
+    PRESETS,
+    SEEDS,
+    SHARD,
+    WORKERS,
+)
+from .parsing import names
 from .progress import resumable
 
 if TYPE_CHECKING:
@@ -22,81 +33,17 @@ if TYPE_CHECKING:
 
 @click.group()
 def bench() -> None:
-    """Rerun the paper's experiments, or run operators on the pairs of any data set."""
-
-
-MATCHER = click.option(
-    "--matcher",
-    "matchers",
-    multiple=True,
-    callback=parse_matchers,
-    metavar="[OPERATOR=]NAME",
-    help="Matcher of all operators or of one, by name or import path. Repeatable.",
-)
-BACKEND = click.option(
-    "--backend",
-    metavar="NAME",
-    help="Robust estimator, by name or import path.  [default: the preset's]",
-)
-OPERATORS = click.option(
-    "--operators",
-    default="surf,orb,fast-brief",
-    show_default=True,
-    callback=names,
-    help="Each runs alone, and all together; names or import paths package.module:name.",
-)
-DATA = click.option(
-    "--data",
-    type=click.Path(path_type=Path),
-    help="Folder of the data sets; default: SFMKIT_DATA, or what was fetched.",
-)
-
-
-def PRESETS(default: str) -> Callable:
-    """The option --presets with its default."""
-    return click.option(
-        "--presets", default=default, show_default=True, callback=names, help="Recipes to compare."
-    )
-
-
-MAX_SIZE = click.option(
-    "--max-size",
-    type=click.IntRange(16, 100_000),
-    metavar="PX",
-    help="Detect on images reduced to this longest side.",
-)
-
-
-SHARD = click.option(
-    "--shard",
-    callback=parse_shard,
-    metavar="I/N",
-    help="Only part I of N of the pairs. Run the command without it, with the same --out, to "
-    "collect all parts.",
-)
-
-
-def OUT(name: str) -> Callable:
-    """The option --out with its default."""
-    return click.option(
-        "--out",
-        type=click.Path(path_type=Path),
-        default=Path("out") / name,
-        show_default=True,
-        help="Folder to write.",
-    )
+    """Repeat the experiments of the paper, or evaluate operators on other data."""
 
 
 @bench.command()
 @click.option(
-    "--sequences", callback=names, metavar="A,B", help="Some of the eight sequences; default: all."
+    "--sequences", callback=names, metavar="A,B", help="Names of sequences; default: all eight."
 )
 @OPERATORS
 @MATCHER
-@click.option("--seeds", type=click.IntRange(1, 10_000), default=5, show_default=True, metavar="N")
-@click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
-)
+@SEEDS(5)
+@WORKERS
 @SHARD
 @OUT("oxford")
 @DATA
@@ -110,7 +57,11 @@ def oxford(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Tables 2 to 5, Figures 7 to 10: Oxford homographies. Resumes an interrupted run."""
+    """Estimate the homographies of the Oxford set.
+
+    The results are Tables 2 to 5 and Figures 7 to 10 of the paper. Run the same command again to
+    resume an interrupted run.
+    """
     from ..evaluation.oxford import bench_oxford
     from ..evaluation.oxford_tables import oxford_result
 
@@ -131,20 +82,23 @@ def oxford(
 
 @bench.command()
 @click.option(
-    "--pairs", callback=names, metavar="A-B,C-D", help="Such as 0000-0001; default: all neighbours."
+    "--pairs",
+    callback=names,
+    metavar="A-B,C-D",
+    help="Pairs, such as 0000-0001; default: all neighbours.",
 )
 @OPERATORS
 @MATCHER
 @BACKEND
 @PRESETS("paper,default,dense")
-@click.option("--seeds", type=click.IntRange(1, 10_000), default=3, show_default=True, metavar="N")
+@SEEDS(3)
 @MAX_SIZE
 @click.option(
     "--scenes",
     default="courtyard,wide,dish",
     show_default=True,
     callback=names,
-    help="Rendered scenes; '' for none.",
+    help="Names of rendered scenes; '' for none.",
 )
 @OUT("fountain")
 @DATA
@@ -160,8 +114,12 @@ def fountain(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Table 6 and Figure 11: features through the process to the cloud, against true cameras and
-    rendered surfaces."""
+    """Measure features, pose and cloud on EPFL fountain-P11.
+
+    The results are Table 6 and Figure 11 of the paper, pose errors with respect to the true
+    cameras, and errors of the cloud on rendered scenes. Run the same command again to resume an
+    interrupted run.
+    """
     from ..evaluation.fountain import bench_fountain
     from ..evaluation.fountain_tables import fountain_result
 
@@ -183,17 +141,19 @@ def fountain(
 
 
 @bench.command()
-@click.option("--sequence", metavar="NAME", help="Folder below uav/; default: the first.")
+@click.option(
+    "--sequence", metavar="NAME", help="Name of a folder in uav/; default: the first one."
+)
 @click.option(
     "--step",
     type=click.IntRange(1, 10_000),
     metavar="N",
-    help="How far apart photographs of a wide pair are.  [default: 4]",
+    help="Distance of the photographs of a wide pair in the sequence.  [default: 4]",
 )
 @click.option(
     "--box",
     metavar="X0,Y0,X1,Y1",
-    help="The target, pixels of the first photograph; default: its middle third.",
+    help="Target in pixels of the first photograph; default: its middle third.",
 )
 @OPERATORS
 @MATCHER
@@ -204,7 +164,7 @@ def fountain(
     "--colmap/--no-colmap",
     default=True,
     show_default=True,
-    help="Run COLMAP too (the peers extra).",
+    help="Also run COLMAP (needs the extra peers).",
 )
 @click.option(
     "--cloud",
@@ -212,7 +172,7 @@ def fountain(
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="PLY",
-    help="Another program's cloud of the same scene; may be given several times.",
+    help="Cloud of the same scene from another program. Repeatable.",
 )
 @OUT("uav")
 @DATA
@@ -230,8 +190,12 @@ def uav(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Tables 7 and 8: drone photographs, small shift and wide baseline, beside COLMAP and others'
-    clouds."""
+    """Compare drone reconstructions with COLMAP.
+
+    The results are Tables 7 and 8 of the paper. The pairs have a small shift or a wide baseline.
+    Clouds of other programs can be compared too. Run the same command again to resume an
+    interrupted run.
+    """
     from ..evaluation.uav import bench_uav, open_flight, parse_box
     from ..evaluation.uav_tables import uav_result
 
@@ -270,7 +234,7 @@ def uav(
 @click.option(
     "--root",
     type=click.Path(path_type=Path),
-    help="Folder of the data sets; for a list or a COLMAP model, of its images.",
+    help="Folder of the data sets; for a list or a COLMAP model, the folder of its images.",
 )
 @OPERATORS
 @MATCHER
@@ -281,7 +245,7 @@ def uav(
     default="default",
     show_default=True,
 )
-@click.option("--seeds", type=click.IntRange(1, 10_000), default=1, show_default=True, metavar="N")
+@SEEDS(1)
 @MAX_SIZE
 @SHARD
 @OUT("pairs")
@@ -297,7 +261,11 @@ def pairs_of_any_data(
     shard: Any,
     out: Path,
 ) -> None:
-    """Operators alone and together on the pairs of any data set, with errors where there is truth.
+    """Run operators on the pairs of any data set.
+
+    Each operator runs alone, and all run together.
+
+    Errors are computed for pairs with ground truth.
 
     Run the same command again to resume an interrupted run.
     """
@@ -326,12 +294,10 @@ def pairs_of_any_data(
     "--groups",
     callback=names,
     metavar="A,B",
-    help="Groups of pairs whose names begin with these, such as fountain or 'across scenes'.",
+    help="Only groups of pairs whose names start with these, such as fountain or 'across scenes'.",
 )
 @OPERATORS
-@click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
-)
+@WORKERS
 @SHARD
 @OUT("verdict")
 @DATA
@@ -343,10 +309,11 @@ def verdict_of_pairs(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Which poses are accepted and whether they are right, beside PoseLib, pycolmap and OpenCV.
+    """Count the right and wrong poses that are accepted.
 
-    Pairs with a solution, and pairs without one: other scenes, disjoint parts, mirror images and
-    repeated texture. Resumes an interrupted run.
+    PoseLib, pycolmap and OpenCV run for comparison. Pairs without a solution show different scenes,
+    disjoint parts, mirror images or repeated texture. Run the same command again to resume an
+    interrupted run.
     """
     from ..evaluation.verdict import bench_verdict
     from ..evaluation.verdict_tables import verdict_result
@@ -382,12 +349,12 @@ def verdict_of_pairs(
     default=8_192,
     show_default=True,
     metavar="N",
-    help="Keypoints per operator and photograph, COLMAP's SIFT included.",
+    help="Keypoints per operator and photograph, also of COLMAP's SIFT.",
 )
-@click.option("--two-view-points", is_flag=True, help="Keep points that only two photographs show.")
 @click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N", help="Processes; default: one per core."
+    "--two-view-points", is_flag=True, help="Keep points that are seen in only two photographs."
 )
+@WORKERS
 @OUT("bench-map")
 @DATA
 def map_of_many_views(
@@ -402,7 +369,11 @@ def map_of_many_views(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Operators alone and together, and COLMAP's SIFT, with COLMAP's mapper. Can be resumed."""
+    """Map many views with each operator and with SIFT.
+
+    The operators run alone and together, and COLMAP's SIFT for comparison, all with COLMAP's
+    mapper. Run the same command again to resume an interrupted run.
+    """
     from ..evaluation.maps import bench_map
     from ..evaluation.maps_tables import maps_result
 
@@ -424,8 +395,10 @@ def map_of_many_views(
 
 
 def command_line() -> str:
-    """What was typed, as it can be typed again; without the folders, which differ from machine to
-    machine."""
+    """Reconstruct the command line from the options.
+
+    Folders are omitted, because they differ between machines.
+    """
     context = click.get_current_context()
     words = context.command_path.replace("\\", "/").rsplit("/", 1)[-1].split()
     for option in context.command.params:
@@ -476,7 +449,7 @@ def parts_bar(bench: str) -> Iterator[Progress]:
 
 
 def hand_over(folder: Path, result: Result) -> None:
-    """Write a benchmark's result into its folder, and print its tables and where the files are."""
+    """Write the result of a benchmark into its folder, and print its tables and files."""
     from ..reports.result import write_result
     from .summary import print_result
 

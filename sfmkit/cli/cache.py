@@ -1,4 +1,4 @@
-"""``sfmkit cache``: what ablations have stored."""
+"""``sfmkit cache``: the cache of ablations."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ CACHE = click.option(
 
 @click.group()
 def cache() -> None:
-    """Results of stages that sweeps have cached: how many, whether they are sound, and away with
-    them."""
+    """Inspect, verify and clear the cache of ablations."""
 
 
 def _open(location: str | None):
@@ -26,7 +25,7 @@ def _open(location: str | None):
 @cache.command()
 @CACHE
 def stats(cache: str | None) -> None:
-    """How many results there are, and how large they are."""
+    """Print the number and the size of the results."""
     store = _open(cache)
     found = store.stats()
     click.echo(f"{store.location}")
@@ -38,8 +37,10 @@ def stats(cache: str | None) -> None:
 @cache.command()
 @CACHE
 def verify(cache: str | None) -> None:
-    """Read every result and compare its checksums. Damaged ones are removed; exit status 2 if there
-    were any."""
+    """Verify the checksums of all results.
+
+    Damaged results are removed. Exit status 2 if there were any.
+    """
     from ..errors import InputError
     from .progress import progress
 
@@ -50,17 +51,17 @@ def verify(cache: str | None) -> None:
         click.echo(line)
     if damaged:
         raise InputError(
-            f"{len(damaged)} of {n:,} results were damaged and are removed; they are made again "
+            f"{len(damaged)} of {n:,} results were damaged and removed; they are computed again "
             "when needed"
         )
-    click.echo(f"{n:,} results are sound, in {store.location}")
+    click.echo(f"{n:,} results are intact, in {store.location}")
 
 
 @cache.command()
 @CACHE
 @click.option("--yes", is_flag=True, help="Do not ask.")
 def clear(cache: str | None, yes: bool) -> None:
-    """Remove all results. Only time is lost."""
+    """Remove all results; they are computed again when needed."""
     store = _open(cache)
     found = store.stats()
     if found.entries and not yes:

@@ -1,4 +1,4 @@
-"""Functions of the commands that take a cloud."""
+"""Helpers of the commands that read a cloud."""
 
 from __future__ import annotations
 

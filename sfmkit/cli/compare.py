@@ -1,4 +1,4 @@
-"""``sfmkit compare``: register two overlapping point clouds and measure their difference."""
+"""``sfmkit compare``: registration and comparison of two overlapping point clouds."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ CLOUD = click.Path(path_type=Path)
     "--radius",
     type=POSITIVE,
     metavar="R",
-    help="Of the density, in A's unit.  [default: 10 x its points' spacing]",
+    help="Radius of the density, in the unit of A.  [default: 10 x the spacing of its points]",
 )
 @click.option(
     "--pairs",
     type=CLOUD,
     metavar="FILE",
-    help="Start from these: lines of two numbers, a vertex of A and of B, from 0.",
+    help="File of corresponding points: lines of two vertex numbers, of A and B, from 0.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
@@ -44,7 +44,7 @@ CLOUD = click.Path(path_type=Path)
 )
 @click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 def compare(
     first: Path,
     second: Path,
@@ -56,12 +56,12 @@ def compare(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Register B.ply to A.ply (rotation, scale and translation) and print counts, densities and
-    distances.
+    """Register B.ply to A.ply, and compare counts, densities and distances.
 
-    Writes compare.json, compare.png and second.ply (B in A's frame and unit) to the folder --out.
-    Exit status 1: the position is doubtful, as for symmetrical objects and clouds that share less
-    than four fifths; give --pairs.
+    The registration estimates rotation, scale and translation. The command writes compare.json,
+    compare.png and second.ply (B in the frame and unit of A) to the folder --out. Exit status 1:
+    the alignment is doubtful, as for symmetrical objects and clouds that overlap by less than four
+    fifths; give --pairs.
     """
     import sys
 

@@ -1,4 +1,4 @@
-"""``sfmkit data``: which public data sets there are, fetching them, checking them."""
+"""``sfmkit data``: list, download and verify the public data sets."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DATA = click.option(
 
 @click.group()
 def data() -> None:
-    """List, fetch and verify the public data sets."""
+    """List, download and verify the public data sets."""
 
 
 @data.command("list")
 @DATA
 def list_(data: Path | None) -> None:
-    """The data sets, their terms, and where they lie on this machine."""
+    """List the data sets and their folders on this machine."""
     from ..datasets.catalog import DATASETS
     from ..datasets.pair import data_root
     from ..errors import InputError
@@ -30,7 +30,7 @@ def list_(data: Path | None) -> None:
         try:
             where = str(data_root(spec.name, data))
         except InputError:
-            where = f"not here; about {spec.size_mb} MB to fetch"
+            where = f"not downloaded; about {spec.size_mb} MB"
         click.echo(f"{spec.name:<10} {spec.title}\n{'':<11}{where}")
 
 
@@ -38,7 +38,7 @@ def list_(data: Path | None) -> None:
 @click.argument("name")
 @DATA
 def fetch(name: str, data: Path | None) -> None:
-    """Download the data set NAME, check it and unpack it. Interrupted downloads are resumed."""
+    """Download, verify and unpack the data set NAME. Interrupted downloads are resumed."""
     from ..datasets.catalog import dataset_spec
 
     spec = dataset_spec(name)
@@ -83,8 +83,10 @@ def fetch(name: str, data: Path | None) -> None:
 @click.argument("names", nargs=-1)
 @DATA
 def verify(names: tuple[str, ...], data: Path | None) -> None:
-    """Check data sets (NAMES, or all that are here) against the pinned checksums. Exit status 2 if
-    any is wrong."""
+    """Verify the checksums of data sets (NAMES, or all that are downloaded).
+
+    Exit status 2 if a file is missing or changed.
+    """
     from ..datasets import pairs
     from ..datasets.catalog import DATASETS, check_folder, dataset_spec
     from ..datasets.pair import data_root
@@ -107,9 +109,7 @@ def verify(names: tuple[str, ...], data: Path | None) -> None:
         else:
             wrong = []
             n = sum(1 for _ in pairs(spec.name, data))
-            click.echo(
-                f"{spec.name}: {n} pairs are complete; nothing is pinned to compare with, in {root}"
-            )
+            click.echo(f"{spec.name}: {n} pairs are complete; no checksums are known, in {root}")
         bad += [f"{spec.name}/{line}" for line in wrong]
     if bad:
         raise InputError(

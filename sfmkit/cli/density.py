@@ -1,4 +1,4 @@
-"""``sfmkit density``: density of a cloud, and whether it is higher at its edges."""
+"""``sfmkit density``: density of a cloud, and comparison of its edges with the other points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     "--radius",
     type=POSITIVE,
     metavar="R",
-    help="In the cloud's unit.  [default: 10 x the points' spacing]",
+    help="Radius in the unit of the cloud.  [default: 10 x the spacing of the points]",
 )
 @click.option(
     "--out",
@@ -33,14 +33,15 @@ if TYPE_CHECKING:
 )
 @click.option("--overwrite", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 def density(
     cloud: Path, radius: float | None, out: Path, overwrite: bool, quiet: bool, as_json: bool
 ) -> None:
-    """Count the neighbours within R of each point of CLOUD.ply, as CloudCompare does.
+    """Count the neighbours within R of each point of CLOUD.ply.
 
-    A point counts as its own neighbour, and a distance of exactly R is within. Writes density.json,
-    density.ply (coloured, with the counts), density.png and histogram.png to the folder --out.
+    The definition is that of CloudCompare: a point is its own neighbour, and points at a distance
+    of exactly R count. The command writes density.json, density.ply (coloured, with the counts),
+    density.png and histogram.png to the folder --out.
     """
     check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
@@ -127,7 +128,7 @@ def _print(report: DensityReport, out: Path, given: bool) -> None:
     else:
         console.print("\nEdges were not compared: too few points, or too large a radius.")
     console.print(
-        f"{known:,} of {of:,} points have the {NEIGHBOURS} neighbours that a shape takes.\n",
+        f"{known:,} of {of:,} points have the {NEIGHBOURS} neighbours needed for the shape.\n",
         highlight=False,
     )
     console.print(f"{out}: density.json, density.ply, density.png, histogram.png", highlight=False)

@@ -3,7 +3,7 @@
 __all__ = ["BAD_INPUT", "CRASHED", "INTERRUPTED", "OK", "UNTRUSTWORTHY"]
 
 OK = 0
-UNTRUSTWORTHY = 1  # the command ran and found no trustworthy result; the report gives the reason
+UNTRUSTWORTHY = 1  # no trustworthy result; the report states the reason
 BAD_INPUT = 2  # bad input, wrong usage, or an output that cannot be written
 CRASHED = 70  # a fault of sfmkit; EX_SOFTWARE of sysexits.h
-INTERRUPTED = 130  # Ctrl-C; other signals give 128 + n as well: 129 for SIGHUP, 143 for SIGTERM
+INTERRUPTED = 130  # Ctrl-C; 128 + n for other signals: 129 for SIGHUP, 143 for SIGTERM

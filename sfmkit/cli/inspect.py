@@ -1,4 +1,4 @@
-"""``sfmkit inspect`` and ``sfmkit view``: a recording in text, and in the viewer."""
+"""``sfmkit inspect`` and ``sfmkit view``: recordings as text and in the viewer."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ RECORDING = click.Path(path_type=Path)
 @click.option(
     "--pixel",
     metavar="X,Y",
-    help="Print the keypoints near a pixel and what became of each; image 1 without --image.",
+    help="Print the keypoints near a pixel of image 1 (or --image), and what became of each.",
 )
 @click.option(
-    "--image", type=click.IntRange(1, 2), default=None, help="The image of --pixel.  [default: 1]"
+    "--image", type=click.IntRange(1, 2), default=None, help="Image of --pixel.  [default: 1]"
 )
 @click.option(
     "--match",
@@ -40,11 +40,11 @@ RECORDING = click.Path(path_type=Path)
 @click.option(
     "--rejected",
     is_flag=True,
-    help="Print why keypoints and matches were rejected, with examples; with --operator, of one.",
+    help="Print why keypoints and matches were rejected, with examples; --operator selects one.",
 )
 @click.option("--operator", metavar="NAME", help="Print the statistics of one operator.")
 @click.option(
-    "--entity", metavar="PATH", help="Print what an entity holds, e.g. /world/points/operator."
+    "--entity", metavar="PATH", help="Print the contents of an entity, e.g. /world/points/operator."
 )
 @click.option(
     "--diff",
@@ -65,9 +65,9 @@ def inspect(
     diff: Path | None,
     prefix: str,
 ) -> None:
-    """Print what a recording (.rrd) holds.
+    """Print the contents of a recording (.rrd).
 
-    Without an option: verdict, pose, statistics per operator, times.
+    Without an option, these are verdict, pose, statistics per operator and times.
     """
     alone = None if rejected else operator
     asked = (point, pixel, match, rejected or None, alone, entity, diff)
@@ -113,7 +113,9 @@ def _pixel(text: str) -> tuple[float, float]:
 @click.command()
 @click.argument("recording", type=RECORDING)
 @click.option(
-    "--web", is_flag=True, help="Serve the viewer to a browser on this machine; needs no display."
+    "--web",
+    is_flag=True,
+    help="Serve the viewer to a browser on this machine; no display is needed.",
 )
 def view(recording: Path, web: bool) -> None:
     """Open a recording (.rrd) in the Rerun viewer of this environment.

@@ -1,4 +1,4 @@
-"""``sfmkit lab``: JupyterLab on the notebooks, on 127.0.0.1 only and without the web."""
+"""``sfmkit lab``: JupyterLab with the notebooks, on 127.0.0.1 only and without internet."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ HOST = "127.0.0.1"
 def notebook_folder(folder: Path | None) -> Path:
     """Find the folder to open.
 
-    It is the one given, or ``notebooks`` beside the package or below the working directory.
+    It is the given one, or ``notebooks`` beside the package or in the working directory.
 
     Raises:
-        InputError: none of these holds a notebook; an installed wheel comes without them.
+        InputError: None of these folders contains a notebook; an installed wheel has none.
     """
     if folder is not None:
         if not folder.is_dir() or not any(folder.glob("*.ipynb")):
@@ -48,8 +48,8 @@ def lab_command(
     """Make the command line of JupyterLab and its environment.
 
     Args:
-        student: whose checks are written to :func:`marks_file`; the solutions are hidden. None
-            without a class.
+        student: Name of the student, whose checks are written to :func:`marks_file`; the solutions
+            are hidden. None without a class.
     """
     first = min(folder.glob("*.ipynb"))
     command = [
@@ -68,7 +68,7 @@ def lab_command(
         command.append("--ServerApp.open_browser=False")
     if runs_as_root():
         command.append("--ServerApp.allow_root=True")
-    # The folder above labconfig/, whose settings stop JupyterLab from looking for news on the web.
+    # The parent of labconfig/, whose settings prevent JupyterLab from requesting news.
     settings = os.pathsep.join(
         filter(None, (str(Path(__file__).parent), os.environ.get("JUPYTER_CONFIG_PATH")))
     )
@@ -79,7 +79,7 @@ def lab_command(
         hidden = ["__pycache__", "*.pyc", "*.pyo", ".DS_Store", "*~", "solutions"]
         command.append(f"--ContentsManager.hide_globs={hidden!r}")
         classroom = {STUDENT: student, FILE: str(marks_file(folder, student))}
-    # rerun reads the variable when it is imported: the kernel is to serve the viewer's page.
+    # rerun reads the variable when it is imported; the kernel then serves the page of the viewer.
     return command, {
         **os.environ,
         **classroom,
@@ -92,7 +92,7 @@ def marks_file(folder: Path, student: str) -> Path:
     """Return the file of the student's checks: ``marks-NAME.jsonl`` beside the notebooks.
 
     Raises:
-        InputError: a name without a letter or digit.
+        InputError: The name has no letter or digit.
     """
     name = re.sub(r"\W+", "-", student).strip("-").lower()
     if not name:
@@ -101,7 +101,7 @@ def marks_file(folder: Path, student: str) -> Path:
 
 
 def runs_as_root() -> bool:
-    """Whether the process has the rights of root, as in most containers."""
+    """Return whether the process has root privileges, as in most containers."""
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
@@ -112,11 +112,9 @@ def runs_as_root() -> bool:
     type=click.IntRange(0, 65535),
     default=8888,
     show_default=True,
-    help="The next free one if taken.",
+    help="Port; the next free one if it is in use.",
 )
-@click.option(
-    "--browser/--no-browser", default=True, show_default=True, help="Open a browser on it."
-)
+@click.option("--browser/--no-browser", default=True, show_default=True, help="Open a browser.")
 @click.option(
     "--class",
     "student",
@@ -127,11 +125,10 @@ def runs_as_root() -> bool:
     "NAME (default: the login name) beside the notebooks.",
 )
 def lab(folder: Path | None, port: int, browser: bool, student: str | None) -> None:
-    """Open the notebooks in JupyterLab; it listens on 127.0.0.1 only and needs no internet.
+    """Open the notebooks in JupyterLab.
 
-    FOLDER: other notebooks than the project's own.
-
-    It also starts as root, as in most containers; then the notebooks run as root.
+    JupyterLab listens on 127.0.0.1 only and needs no internet. FOLDER contains other notebooks than
+    those of the project. As root (as in most containers), the notebooks also run as root.
     """
     place = notebook_folder(folder)
     if find_spec("jupyterlab") is None:

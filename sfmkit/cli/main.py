@@ -1,6 +1,6 @@
-"""The ``sfmkit`` command.
+"""The command ``sfmkit``.
 
-Nothing heavy is imported before a command runs, so that ``--help`` answers at once.
+Large packages are imported only when a command runs, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .exit_status import BAD_INPUT, CRASHED, INTERRUPTED, OK
 
 __all__ = ["COMMANDS", "Group", "main"]
 
-# command -> module below sfmkit.cli, and its name there
+# Command -> module in sfmkit.cli, and name in the module.
 COMMANDS = {
     "reconstruct": ("reconstruct", "reconstruct"),
     "demo": ("reconstruct", "demo"),
@@ -44,7 +44,7 @@ COMMANDS = {
 
 
 class Group(click.Group):
-    """A group that imports a command when it is used, and turns every end into an exit status."""
+    """A group that imports commands lazily, and converts exceptions to exit statuses."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -114,7 +114,7 @@ class Group(click.Group):
         sys.exit(status)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run as a process of its own, whose standard streams belong to it."""
+        """Run the command as the main program of the process."""
         streams.protect()
         return self.main(*args, **kwargs)
 

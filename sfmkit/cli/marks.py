@@ -1,4 +1,4 @@
-"""``sfmkit marks``: the marks of a class as a table."""
+"""``sfmkit marks``: tables of the marks of a class."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     help="Also write one row per student and exercise to this file.",
 )
 def marks(files: tuple[Path, ...], table: Path | None) -> None:
-    """Merge the marks files of a class (`sfmkit lab --class`) to a table.
+    """Merge the marks files of a class (`sfmkit lab --class`) into a table.
 
     Lines that occur in several files count once.
     """

@@ -1,4 +1,4 @@
-"""``sfmkit matchers``."""
+"""``sfmkit matchers``: the table of matchers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``sfmkit page``: a recording as one HTML page that answers clicks."""
+"""``sfmkit page``: a recording as an interactive HTML page."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ __all__ = ["page"]
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="The page to write.  [default: inspect.html beside the recording]",
+    help="Page to write.  [default: inspect.html beside the recording]",
 )
 @PREFIX
 def page(recording: Path, out: Path | None, prefix: str) -> None:
-    """Write one self-contained HTML page of a recording (.rrd), or of a folder with one.
+    """Write an interactive HTML page of a recording (.rrd), or of a folder with one.
+
+    The page is self-contained.
 
     A click on a keypoint, match or point shows how it was found and what became of it.
     """

@@ -10,13 +10,13 @@ import click
 
 __all__ = ["POSITIVE", "SEED", "Finite", "matchers", "names", "parse_shard", "size_in_bytes"]
 
-SEED = click.IntRange(0, 2**31 - 1)  # what every back end accepts; OpenCV takes a C int
+SEED = click.IntRange(0, 2**31 - 1)  # range of all back ends; OpenCV takes a C int
 
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
 
 class Finite(click.FloatRange):
-    """A number of a range; infinity and NaN are refused."""
+    """A number in a range; infinity and NaN are refused."""
 
     name = "number"
 
@@ -35,7 +35,7 @@ POSITIVE = Finite(min=0, min_open=True)
 def names(
     _ctx: click.Context, _param: click.Parameter, value: str | None
 ) -> tuple[str, ...] | None:
-    """Split ``"a, b"`` into ``("a", "b")``; an option that was not given stays None."""
+    """Split ``"a, b"`` into ``("a", "b")``; None if the option was not given."""
     if value is None:
         return None
     return tuple(part.strip() for part in value.split(",") if part.strip())
@@ -82,7 +82,7 @@ def _two_names(value: str) -> tuple[str, str]:
 def parse_shard(
     _ctx: click.Context, _param: click.Parameter, value: str | None
 ) -> tuple[int, int] | None:
-    """``"2/4"`` as ``(2, 4)``."""
+    """Convert ``"2/4"`` to ``(2, 4)``."""
     if value is None:
         return None
     found = re.fullmatch(r"\s*([0-9]{1,6})\s*/\s*([0-9]{1,6})\s*", value)
@@ -92,7 +92,7 @@ def parse_shard(
 
 
 def entity_prefix(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
-    """``"a/b/"`` as ``"/a/b"``; the root as nothing."""
+    """Convert ``"a/b/"`` to ``"/a/b"``, and the root to an empty text."""
     return f"/{value.strip('/')}" if value.strip("/") else ""
 
 
@@ -101,5 +101,5 @@ PREFIX = click.option(
     default="",
     metavar="PATH",
     callback=entity_prefix,
-    help="Entity path below which the reconstruction was logged, if not the root.",
+    help="Entity path under which the reconstruction was logged; default: the root.",
 )

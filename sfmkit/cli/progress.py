@@ -1,4 +1,4 @@
-"""What a command prints on standard error while it works."""
+"""Progress of a command on standard error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["progress", "resumable"]
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """End with a message about resuming when the work is interrupted, since nothing is lost."""
+    """End an interrupted command with a message that it can be resumed."""
     try:
         yield
     except KeyboardInterrupt as interrupt:
@@ -30,8 +30,7 @@ def progress(enabled: bool) -> Iterator[Progress]:
     """Report progress on standard error.
 
     Yields:
-        The function to report to: it updates one live line on a terminal, and prints one line per
-        stage elsewhere.
+        The callback: on a terminal it updates one line, otherwise it prints one line per stage.
     """
     if not enabled:
         yield silent

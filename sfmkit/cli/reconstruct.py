@@ -24,7 +24,7 @@ OPERATORS = "surf,orb,fast-brief"
     "--intrinsics",
     help="K of image 1 (and 2): a file, or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]. Default: EXIF.",
 )
-@click.option("--intrinsics2", help="K of image 2, where it is another camera.")
+@click.option("--intrinsics2", help="K of image 2, if it has another camera.")
 @click.option(
     "--operators",
     default=OPERATORS,
@@ -46,7 +46,7 @@ OPERATORS = "surf,orb,fast-brief"
     type=click.Choice(["default", "dense", "paper"]),
     default="default",
     show_default=True,
-    help="Our best settings, ours for more points in more time, or the paper's.",
+    help="Best settings, settings for more points in more time, or those of the paper.",
 )
 @click.option(
     "--backend",
@@ -124,10 +124,10 @@ def reconstruct(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Reconstruct the scene that IMAGE1 and IMAGE2 both show.
+    """Reconstruct a scene from the photographs IMAGE1 and IMAGE2.
 
-    Writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder --out. Exit
-    status: 0 done, 1 ran but found no trustworthy geometry (the report says why), 2 bad input.
+    The command writes report.json, matches.npz, cloud.ply, pictures and recording.rrd to the folder
+    --out. Exit status: 0 done, 1 no trustworthy geometry (the report states why), 2 bad input.
     """
     check_free(out, overwrite)
     with progress(enabled=not quiet and not as_json) as say:
@@ -187,7 +187,7 @@ def reconstruct(
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 @click.pass_context
 def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
-    """Run the main job on the bundled pair, whose true pose is known. Replaces the folder --out."""
+    """Reconstruct the bundled pair, whose true pose is known. Replaces the folder --out."""
     from ..datasets.synthetic import demo_pair
 
     image1, image2, truth = map(str, demo_pair())
@@ -208,7 +208,7 @@ def demo(ctx: click.Context, out: Path, **printed: Any) -> None:
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def operators(as_json: bool) -> None:
-    """List the feature operators, how they are compared, and whether they are available here."""
+    """List the feature operators, their descriptors, and whether they are available here."""
     from ..features import list_operators
     from .summary import print_operators
 

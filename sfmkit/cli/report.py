@@ -1,4 +1,4 @@
-"""``sfmkit report``: the results of the benchmarks on one page."""
+"""``sfmkit report``: one page of all results of benchmarks."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["report"]
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="The page to write.  [default: report.html in FOLDER]",
+    help="Page to write.  [default: report.html in FOLDER]",
 )
 def report(folder: Path, out: Path | None) -> None:
-    """Write one self-contained HTML page of all results of `sfmkit bench` below FOLDER.
+    """Write one HTML page of all results of `sfmkit bench` in FOLDER.
 
-    FOLDER is "out" by default.
+    The page is self-contained. FOLDER is "out" by default.
     """
     from ..reports.html import write_report
 

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP end a command as Ctrl-C does: by an exception, so that it is tidied up."""
+"""SIGTERM and SIGHUP as exceptions, so that a command cleans up as after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ __all__ = ["Terminated", "cause_of", "describe", "raised_as_exceptions", "status
 
 
 class Terminated(KeyboardInterrupt):
-    """The process received a signal that asks it to end.
+    """The process received a termination signal.
 
-    A KeyboardInterrupt, so that whatever cleans up after Ctrl-C does so after this too.
+    The class is derived from KeyboardInterrupt, so that code that cleans up after Ctrl-C also
+    handles it.
 
     Attributes:
-        signal: which one.
+        signal: The signal.
     """
 
     def __init__(self, number: signal.Signals) -> None:
@@ -26,14 +27,14 @@ class Terminated(KeyboardInterrupt):
 
 
 def status_of(interrupt: KeyboardInterrupt) -> int:
-    """The exit status 128 + n for the signal n."""
+    """Return the exit status 128 + n for the signal n."""
     return 128 + (interrupt.signal if isinstance(interrupt, Terminated) else signal.SIGINT)
 
 
 def cause_of(error: BaseException) -> KeyboardInterrupt | None:
     """Return the interrupt that caused an exception.
 
-    An extension module that is interrupted while it is imported raises ImportError.
+    An interrupted import of an extension module raises ImportError.
     """
     seen: BaseException | None = error
     while seen is not None and not isinstance(seen, KeyboardInterrupt):
@@ -42,7 +43,7 @@ def cause_of(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def describe(interrupt: KeyboardInterrupt) -> str:
-    """What ended the command, for a message."""
+    """Describe the interrupt for a message."""
     return f"ended by {interrupt}" if isinstance(interrupt, Terminated) else "interrupted"
 
 
@@ -50,8 +51,8 @@ def describe(interrupt: KeyboardInterrupt) -> str:
 def raised_as_exceptions() -> Iterator[None]:
     """Raise :class:`Terminated` on SIGTERM and SIGHUP while the block runs.
 
-    After the first one, further ones are ignored, so that they do not disturb the clean-up. A
-    signal that the caller has ignored (nohup) stays ignored.
+    Signals after the first one are ignored, so that they do not interrupt the clean-up. A signal
+    that the caller ignores (nohup) remains ignored.
     """
     names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     numbers = [signal.Signals[name] for name in names]

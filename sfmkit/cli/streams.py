@@ -1,4 +1,4 @@
-"""Standard streams that neither raise nor end a command before its work is done."""
+"""Standard streams whose errors do not interrupt the work of a command."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["Output", "failure", "protect"]
 
 
 class Output(io.FileIO):
-    """A standard stream whose failed writes are remembered instead of raised.
+    """A standard stream that stores write errors instead of raising them.
 
     Attributes:
-        failure: the first error, or None.
+        failure: The first error, or None.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -23,7 +23,7 @@ class Output(io.FileIO):
         self.failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write `data`, and report it as written in any case."""
+        """Write `data`; return its length even if writing fails."""
         if self.failure is None:
             try:
                 return super().write(data)
@@ -33,22 +33,24 @@ class Output(io.FileIO):
 
 
 def protect() -> None:
-    """Replace this process's output streams.
+    """Replace the output streams of this process.
 
-    Characters that their encoding lacks are written as escapes. A closed stream is opened on the
-    null device for reading, so that no other file gets its number and writing to it fails.
+    Characters outside the encoding are written as escapes. A closed stream is opened on the null
+    device for reading, so that no other file gets its descriptor and writing to it fails.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDONLY)  # gets the lowest free number, which is this one
+            os.open(
+                os.devnull, os.O_RDONLY
+            )  # the lowest free descriptor, which is that of the closed stream
     sys.stdout = _protected(sys.stdout, 1)
     sys.stderr = _protected(sys.stderr, 2)
 
 
 def failure() -> OSError | None:
-    """What went wrong on standard output. A reader that has closed its end is not a failure."""
+    """Return the error of standard output, or None. A closed pipe is not an error."""
     raw = _raw(sys.stdout)
     if not isinstance(raw, Output):
         return None
@@ -65,7 +67,7 @@ def _raw(stream: Any) -> Any:
 def _protected(stream: Any, descriptor: int) -> Any:
     raw = _raw(stream)
     if stream is not None and not (type(raw) is io.FileIO and raw.fileno() == descriptor):
-        return stream  # a console of Windows, or not the process's own
+        return stream  # a Windows console, or a replaced stream
     if stream is not None:
         stream.flush()
     return io.TextIOWrapper(

@@ -1,4 +1,4 @@
-"""What the command line prints: the account and the pose as aligned tables."""
+"""Tables that the commands print: statistics per operator, pose, operators, results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PRINTED_FILES = (
 
 
 def account_table(operators: dict[str, Any]) -> Table:
-    """The account of a report (its ``operators``) as a table."""
+    """Make a table of the per-operator statistics of a report."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("operator", no_wrap=True)
     for column in (
@@ -61,7 +61,7 @@ def account_table(operators: dict[str, Any]) -> Table:
 
 
 def print_summary(report: dict[str, Any], folder: Path) -> None:
-    """The account, the verdict, the pose, the times and the files."""
+    """Print statistics, verdict, pose, times and files."""
     console = wide_console()
     console.print(account_table(report["operators"]))
     verdict, pose = report["verdict"], report["pose"]
@@ -98,7 +98,7 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
         ]
         facts.add_row(
             "error",
-            f"rotation {shown[0]}, translation direction {shown[1]}, against the truth given",
+            f"rotation {shown[0]}, translation direction {shown[1]}, with respect to --truth",
         )
     if report["reprojection_rmse_px"] is not None:
         facts.add_row(
@@ -119,7 +119,7 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
 
 
 def _angle(R: list[list[float]]) -> float:
-    """The angle of a rotation matrix, degrees."""
+    """Compute the angle of a rotation matrix, degrees."""
     trace = sum(R[i][i] for i in range(3))
     return degrees(acos(max(-1.0, min(1.0, (trace - 1) / 2))))
 
@@ -151,7 +151,7 @@ def print_operators(rows: list[OperatorInfo]) -> None:
 
 
 def print_result(result: Result) -> None:
-    """The tables and notes of a benchmark."""
+    """Print the tables and notes of a benchmark."""
     console = wide_console()
     for shown in result.tables:
         table = Table(title=shown.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -169,6 +169,6 @@ def print_result(result: Result) -> None:
 
 
 def wide_console() -> Console:
-    """Standard output; if it is not a terminal, wide enough that no table is cut."""
+    """Make a console; without a terminal it is wide enough for all tables."""
     console = Console(highlight=False)
     return console if console.is_terminal else Console(highlight=False, width=140)

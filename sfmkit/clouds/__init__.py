@@ -1,3 +1,3 @@
-"""Point clouds: density, local shape, alignment, comparison."""
+"""Point clouds: density, local shape, alignment and comparison."""
 
 __all__ = ["alignment", "comparison", "density", "local_shape"]

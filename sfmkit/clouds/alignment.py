@@ -1,12 +1,12 @@
 """Register two overlapping point clouds: iterative closest points (ICP) with scale.
 
-Each cloud has its own frame and scale and shows only part of the other. ICP (Besl & McKay 1992)
-estimates the scale as well (Zinsser, Schmidt & Niemann 2005). Closest points are paired in both
-directions: with pairs from the moved cloud only, it could shrink to one point of the other and have
-no distance. Distances are measured mostly across the surface (Chen & Medioni 1992), because along
-it a point has no distinct partner. Distant pairs lose weight as the iteration proceeds, and
-trimming (Chetverikov et al. 2005) estimates which share of the clouds has a partner. Many
-orientations are tried as starts, because the principal axes of a cloud have no sign.
+The clouds have different frames and scales and overlap only partially. ICP (Besl & McKay 1992) also
+estimates the scale (Zinsser, Schmidt & Niemann 2005). Closest points are paired in both directions,
+because with pairs from the moved cloud only, it could shrink to one point of the other cloud.
+Mainly distances across the surface are minimised (Chen & Medioni 1992), because a point has no
+distinct partner along it. The weight of distant pairs decreases during the iteration, and trimming
+(Chetverikov et al. 2005) estimates the overlap of the clouds. Many orientations are tried as
+starts, because the signs of the principal axes are arbitrary.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from ..errors import DegenerateGeometryError, InputError
 from ..geometry.similarity import Similarity, fit_similarity
 from .density import build_tree
 
-POINTS = 30_000  # of each cloud that are used
-_COARSE = (600, 15)  # points and steps with which every start is tried
-_MIDDLE = (4000, 30)  # and the best few of them
+POINTS = 30_000  # largest number of points used per cloud
+_COARSE = (600, 15)  # points and steps for every start
+_MIDDLE = (4000, 30)  # points and steps for the best starts
 _FINE = (POINTS, 60)
-_FINALISTS = 8  # starts that are refined further
-_ALONG = 0.1  # weight of a distance along the surface, where one across it has 1
-_NORMAL_FROM = 10  # nearest points that a normal is estimated from
-_LEAST_OVERLAP = 0.3  # share of the points that must find a partner
-_EXACT = 1e-9  # of the size of a cloud: less is rounding
-_TRIM_POWER = 3  # weighs a small distance against a large share (Chetverikov's 1 + lambda)
-_AMBIGUOUS = 0.8  # a rival start that ends as near as this makes the result doubtful
+_FINALISTS = 8  # number of best starts
+_ALONG = 0.1  # weight of distances along the surface; those across it have weight 1
+_NORMAL_FROM = 10  # nearest points for the estimate of a normal
+_LEAST_OVERLAP = 0.3  # smallest share of the points with a partner
+_EXACT = 1e-9  # distance over the size of a cloud below which it is a rounding error
+_TRIM_POWER = 3  # balances small distances and a large overlap (1 + lambda of Chetverikov)
+_AMBIGUOUS = 0.8  # rivalry from which the result is doubtful
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The transformation of the second cloud to the first, and its quality.
+    """Transformation of the second cloud to the first, and its quality.
 
     Attributes:
-        similarity: from the second cloud's frame to the first's.
-        overlap: share of the first cloud's and of the second cloud's points that have a partner.
-        residual: root mean square distance of these pairs, in the unit of the first cloud.
-        rivalry: score of the result over that of the best start that ended elsewhere; 0 if all
-            starts ended here, 1 if another one is as good, as for a symmetrical object.
+        similarity: Similarity from the frame of the second cloud to that of the first.
+        overlap: Shares of the points of the first and of the second cloud with a partner.
+        residual: Root mean square distance of these pairs, in the unit of the first cloud.
+        rivalry: Score of the result over that of the best start with another result; 0 if all
+            starts have this result, 1 if another result is as good, as for a symmetrical object.
     """
 
     similarity: Similarity
@@ -55,15 +55,20 @@ class Alignment:
 
     @property
     def doubtful(self) -> bool:
-        """Whether another start ended with nearly the same score, or less than half of a cloud has
-        a partner although other starts were tried."""
+        """Whether the result may be wrong.
+
+        Either another result has nearly the same score, or several starts were tried and less than
+        half of a cloud has a partner.
+        """
         return self.rivalry > _AMBIGUOUS or (self.rivalry > 0 and min(self.overlap) < 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Some points of a cloud, in random order, with normals, and the cloud's centre, size and axes,
-    which are robust to a few distant points."""
+    """A sample of the points of a cloud, in random order, with normals.
+
+    Centre, size and axes of the cloud are robust to a few distant points.
+    """
 
     tree: KDTree
     normals: np.ndarray
@@ -109,14 +114,14 @@ def align(
 
     Args:
         a, b: (N, 3) and (M, 3) points.
-        pairs: (P, 2) rows of `a` and of `b` that show the same place, three or more, to start from;
-            without them many orientations of the principal axes are tried.
-        seed: of the choice of the points that are used.
-        progress: called with (stage, detail).
+        pairs: (P, 2) rows of at least three corresponding points of `a` and `b`, from which the
+            iteration starts; without them many orientations of the principal axes are tried.
+        seed: Seed of the sample of points.
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: unusable points or pairs.
-        DegenerateGeometryError: a cloud has fewer than three places or lies on a line.
+        InputError: The points or the pairs are invalid.
+        DegenerateGeometryError: A cloud has fewer than three distinct points, or lies on a line.
     """
     rng = np.random.default_rng(seed)
     first, second = _cloud(a, "first", rng), _cloud(b, "second", rng)
@@ -136,7 +141,7 @@ def align(
     found = _distinct(found, first.size)[:_FINALISTS]
     found = _distinct([refine(state.similarity, _MIDDLE) for state in found], first.size)
     if progress is not None:
-        progress("align", "the best start to the end")
+        progress("align", "best start")
     best = refine(found[0].similarity, _FINE)
     rivalry = found[0].score / found[1].score if len(found) > 1 else 0.0
     return Alignment(best.similarity, best.overlap, best.residual, rivalry)
@@ -169,10 +174,10 @@ def _cloud(xyz: np.ndarray, which: str, rng: np.random.Generator) -> _Cloud:
 
 
 def _starts(a: _Cloud, b: _Cloud) -> list[Similarity]:
-    """Similarities that align centre, size and principal axes, in 84 orientations of the axes.
+    """Compute similarities that align centre, size and principal axes, in 84 orientations.
 
-    The rotations of the octahedron (24, which include the exchanges of axes) and of the icosahedron
-    (60) are within about 40 degrees of every orientation.
+    Every orientation is within about 40 degrees of a rotation of the octahedron (24, permutations
+    of the axes included) or of the icosahedron (60).
     """
     turns = Rotation.concatenate(
         [Rotation.create_group("O"), Rotation.create_group("I")]
@@ -219,8 +224,8 @@ def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _S
         distance = np.concatenate([to_a, to_b])
         limit = 3 * np.quantile(distance, _LEAST_OVERLAP) + _EXACT * a.size
         weight = (1 + (distance / limit) ** 2) ** -2  # Geman & McClure 1985
-        # Points beyond the other cloud's border all pair with points on the border; together they
-        # get the weight of one pair.
+        # Points beyond the border of the other cloud are all paired with points on the border;
+        # together they have the weight of one pair.
         weight /= np.concatenate([np.bincount(row)[row] for row in (row_a, row_b)])
         step = _gauss_newton(x, y, normal, weight)
         further = Similarity(step.s * now.s, step.R @ now.R, step.s * (step.R @ now.t) + step.t)
@@ -242,8 +247,12 @@ def _icp(a: _Cloud, b: _Cloud, start: Similarity, points: int, steps: int) -> _S
 
 
 def _closest(a: _Cloud, b: _Cloud, now: Similarity) -> tuple:
-    """The moved second cloud, and for both clouds the distances (in the unit of the first) and rows
-    of the partners."""
+    """Move the second cloud, and find the closest points in both directions.
+
+    Returns:
+        The moved cloud, and for both clouds the distances to the partners (in the unit of the first
+        cloud) and the rows of the partners.
+    """
     moved = now.apply(torch.from_numpy(b.xyz)).numpy()
     workers = -1 if len(a.xyz) > 5000 else 1  # threads are slower for few points
     to_a, row_a = a.tree.query(moved, workers=workers)
@@ -256,15 +265,17 @@ def _closest(a: _Cloud, b: _Cloud, now: Similarity) -> tuple:
 def _gauss_newton(
     x: np.ndarray, y: np.ndarray, normal: np.ndarray, weight: np.ndarray
 ) -> Similarity:
-    """The small similarity that moves `x` towards `y`, mostly across the surfaces: one Gauss-Newton
-    step."""
+    """Compute one Gauss-Newton step: a small similarity that moves `x` towards `y`.
+
+    Distances across the surfaces have a larger weight than distances along them.
+    """
     centre = np.average(x, axis=0, weights=weight)
     p, r = x - centre, y - x
     size = np.sqrt(
         np.average((p**2).sum(1), weights=weight)
     )  # scales the unknowns to similar magnitudes
     p = p / size
-    # change of a point: turn x p + shift + growth p, the derivative of a similarity
+    # derivative of a similarity: a point p moves by turn x p + shift + growth p
     J = np.zeros((len(p), 3, 7))
     J[:, 0, 1], J[:, 0, 2], J[:, 1, 2] = p[:, 2], -p[:, 1], p[:, 0]
     J[:, 1, 0], J[:, 2, 0], J[:, 2, 1] = -p[:, 2], p[:, 1], -p[:, 0]
@@ -277,7 +288,7 @@ def _gauss_newton(
     g = across.T @ (weight * (normal * r).sum(1)) + _ALONG**2 * np.einsum(
         "n,nij,ni->j", weight, J, r, optimize=True
     )
-    # Points that do not determine all unknowns, such as coincident ones, move least.
+    # The minimum-norm solution, if the points do not determine all unknowns.
     step, *_ = np.linalg.lstsq(A, g, rcond=None)
     turn, shift, growth = np.split(step, (3, 6))
     R = Rotation.from_rotvec(turn / size).as_matrix()
@@ -286,9 +297,9 @@ def _gauss_newton(
 
 
 def _trim(distance: np.ndarray, exact: float) -> tuple[np.ndarray, float]:
-    """The squared distances of the points that have a partner, and their share.
+    """Return the squared distances of the points with a partner, and their share.
 
-    The share minimises the mean over share ** 3; `exact` counts as zero.
+    The share minimises the mean squared distance over share ** 3; `exact` counts as zero.
     """
     squared = np.sort(distance**2) + exact**2
     count = np.arange(1, len(squared) + 1)
@@ -303,7 +314,7 @@ def _score(squared: np.ndarray, share: float) -> float:
 
 
 def _distinct(states: list[_State], size: float) -> list[_State]:
-    """The states, best first, without those within 10 degrees and 10 % of a better one."""
+    """Return the states, best first, without those within 10 degrees and 10 % of a better one."""
     kept: list[_State] = []
     for state in sorted(states, key=lambda s: s.score):
         if all(_apart(state.similarity, other.similarity) for other in kept):

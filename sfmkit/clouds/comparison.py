@@ -1,6 +1,6 @@
-"""Compare two clouds of one object: counts, densities and distances.
+"""Comparison of two clouds of one object: counts, densities and distances.
 
-The scales and frames of the clouds may differ.
+The clouds may have different scales and frames.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from ..types import PointCloud
 from .alignment import Alignment, align
 from .density import Density, build_tree, count_neighbours, density
 
-_BLOCK = 200_000  # points whose nearest one is looked for at a time
+_BLOCK = 200_000  # points per nearest-neighbour query
 
 
 @dataclass(frozen=True)
 class Distances:
-    """Distances from the points of one cloud to the nearest of the other, in one figure each.
+    """Statistics of the distances from the points of one cloud to the other cloud.
 
     Attributes:
-        median, p95, rms: median, 95th percentile and root mean square. The last depends
-            mostly on a few distant points.
+        median, p95, rms: Median, 95th percentile and root mean square. The last one depends mainly
+            on a few distant points.
     """
 
     median: float
@@ -46,13 +46,14 @@ class Comparison:
     """Two clouds in the frame of the first.
 
     Attributes:
-        first: the first cloud.
-        second: the second, moved into the first one's frame and unit.
-        alignment: the transformation, and its quality.
-        extent: diagonal of the box that holds the inner 98 % of the first cloud in each direction.
+        first: The first cloud.
+        second: The second cloud in the frame and unit of the first.
+        alignment: The transformation and its quality.
+        extent: Diagonal of the box of the inner 98 % of the first cloud in each direction.
         to_second, to_first: (N,) and (M,) distances to the nearest point of the other cloud, in the
-            first cloud's unit.
-        density_first, density_second: both with the same radius, in the first cloud's unit.
+            unit of the first cloud.
+        density_first, density_second: Densities with the same radius, in the unit of the first
+            cloud.
     """
 
     first: PointCloud
@@ -65,9 +66,9 @@ class Comparison:
     density_second: Density
 
     def numbers(self) -> dict[str, Any]:
-        """Return everything but the points, for JSON.
+        """Return all results except the points as JSON values.
 
-        Lengths are in the first cloud's unit, or divided by its extent where the name says so.
+        Lengths are in the unit of the first cloud, or divided by its extent if the name says so.
         """
         move = self.alignment.similarity
         found: dict[str, Any] = {
@@ -114,19 +115,20 @@ def compare(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Register the second cloud to the first, and measure both.
+    """Register the second cloud to the first, and compare their densities and distances.
 
     Args:
-        radius: of the density, in the first cloud's unit; None for ten times the spacing of its
-            points.
-        pairs: (P, 2) rows of the clouds that show the same place, to start from; see
+        first, second: The clouds.
+        radius: Radius of the density, in the unit of the first cloud; None for ten times the
+            spacing of its points.
+        pairs: (P, 2) rows of corresponding points of the clouds, see
             :func:`sfmkit.clouds.alignment.align`.
-        seed: of the alignment.
-        progress: called with (stage, detail).
+        seed: Seed of the alignment.
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: unusable clouds, radius or pairs.
-        DegenerateGeometryError: a cloud whose points lie on a line.
+        InputError: A cloud, the radius or the pairs are invalid.
+        DegenerateGeometryError: The points of a cloud lie on a line.
     """
     a = first.xyz.numpy()
     alignment = align(a, second.xyz.numpy(), pairs, seed=seed, progress=progress)
@@ -151,6 +153,6 @@ def compare(
 
 
 def _nearest(tree: KDTree, points: np.ndarray) -> np.ndarray:
-    """(N,) distances from points to the nearest one in a tree."""
+    """Compute the (N,) distances from points to the nearest point of a tree."""
     blocks = np.array_split(points, -(-len(points) // _BLOCK))
     return np.concatenate([tree.query(block, workers=-1)[0] for block in blocks])

@@ -1,9 +1,8 @@
-"""Density of a cloud around each of its points, counted as CloudCompare does.
+"""Density of a cloud around each of its points, with the definition of CloudCompare.
 
-The neighbours of a point are the points within a distance of R. The point itself is one of them,
-and so is a point at distance R exactly: the least count is 1. CloudCompare's "Number of neighbors"
-is defined in the same way: its wiki states it for the point itself, and the tests compare both
-point by point.
+The neighbours of a point are the points at a distance of at most R, the point itself included, so
+the smallest count is 1. CloudCompare's "Number of neighbors" has the same definition; the tests
+compare both for every point.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from scipy.spatial import KDTree
 from .._utils.progress import Progress
 from ..errors import InputError
 
-# Gives about 95 neighbours on the clouds of this project; the paper's clouds have 115.
+# Results in about 95 neighbours on the clouds of this project; the clouds of the paper have 115.
 RADIUS_IN_SPACINGS = 10
 MAX_PAIRS = 20_000_000_000  # neighbours of all points together: minutes on two cores
-BLOCK = 100_000  # points counted between two reports of progress
-_PROBES = 1_000  # points from which the cost of the others is estimated
+BLOCK = 100_000  # points between two reports of progress
+_PROBES = 1_000  # points for the estimate of the cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +29,8 @@ class Density:
     """Density at each point of a cloud.
 
     Attributes:
-        radius: R, in the cloud's unit.
-        neighbours: (N,) int64 points within R, the point itself included.
+        radius: R, in the unit of the cloud.
+        neighbours: (N,) int64 numbers of points within R, the point itself included.
     """
 
     radius: float
@@ -39,23 +38,23 @@ class Density:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """(N,) neighbours per squared unit, ``n / (pi R^2)``: exact for points on a plane."""
+        """Return (N,) neighbours per squared unit, ``n / (pi R^2)``, exact on a plane."""
         return self.neighbours / (pi * self.radius**2)
 
     @cached_property
     def volume(self) -> np.ndarray:
-        """(N,) neighbours per cubed unit, ``n / (4/3 pi R^3)``."""
+        """Return (N,) neighbours per cubed unit, ``n / (4/3 pi R^3)``."""
         return self.neighbours / (4 / 3 * pi * self.radius**3)
 
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Counts in classes of equal width, with the Gaussian of the same mean and standard deviation.
+    """Counts in classes of equal width, with a Gaussian of equal mean and standard deviation.
 
     Attributes:
         edges: (C + 1,) bounds of the classes.
         counts: (C,) int64.
-        mean, std: of the values; the standard deviation divides by N.
+        mean, std: Mean and standard deviation (divisor N) of the values.
     """
 
     edges: np.ndarray
@@ -68,7 +67,7 @@ class Histogram:
         return len(self.counts)
 
     def gaussian(self, x: np.ndarray) -> np.ndarray:
-        """Expected count of a normal distribution in a class around `x`."""
+        """Return the expected count of a normal distribution in a class around `x`."""
         scale = self.counts.sum() * (self.edges[1] - self.edges[0]) / (self.std * sqrt(2 * pi))
         return scale * np.exp(-0.5 * ((x - self.mean) / self.std) ** 2)
 
@@ -81,10 +80,10 @@ def density(
     Args:
         xyz: (N, 3) points.
         radius: R in the unit of `xyz`; None for :func:`automatic_radius`.
-        progress: called with (stage, detail).
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: see :func:`count_neighbours` and :func:`automatic_radius`.
+        InputError: As for :func:`count_neighbours` and :func:`automatic_radius`.
     """
     tree = build_tree(xyz)
     if radius is None:
@@ -93,10 +92,10 @@ def density(
 
 
 def build_tree(xyz: np.ndarray) -> KDTree:
-    """Build the search tree of (N, 3) points, which the functions here take instead of points.
+    """Build the search tree of (N, 3) points for the functions of this module.
 
     Raises:
-        InputError: no points, not (N, 3), or not finite.
+        InputError: There are no points, they have another shape, or they are not finite.
     """
     xyz = np.ascontiguousarray(xyz, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
@@ -111,15 +110,14 @@ def build_tree(xyz: np.ndarray) -> KDTree:
 def spacing(tree: KDTree) -> float:
     """Return the median distance from a point to the nearest other one, in the unit of the points.
 
-    At most 100,000 points, evenly through the cloud, are used; copies at the same place do not
-    count as other points.
+    At most 100,000 evenly spaced rows are used; coincident points do not count as other points.
 
     Raises:
-        InputError: all points lie at one place.
+        InputError: All points coincide.
     """
     some = tree.data[:: ceil(tree.n / BLOCK)]
     copies = tree.query_ball_point(some[:: ceil(len(some) / 100)], 0, return_length=True)
-    # The nearest points are copies, or there are so many that a search is slow.
+    # The nearest points are coincident, or a search is slow because there are so many of them.
     if copies.min() > 1 or copies.mean() > 100:
         tree = KDTree(_places(tree.data))
         some = tree.data[:: ceil(tree.n / BLOCK)]
@@ -135,7 +133,7 @@ def spacing(tree: KDTree) -> float:
 def automatic_radius(xyz: np.ndarray) -> float:
     """Return ten times the :func:`spacing` of (N, 3) points.
 
-    Wide enough for stable counts, narrow enough to show detail.
+    This radius is large enough for stable counts, and small enough to show detail.
     """
     return RADIUS_IN_SPACINGS * spacing(build_tree(xyz))
 
@@ -145,19 +143,19 @@ def count_neighbours(
 ) -> np.ndarray:
     """Count the points within `radius` of each point, itself included.
 
-    Works block by block and without lists of neighbours, so that memory does not grow with the
-    counts.
+    The points are processed in blocks and without lists of neighbours, so the memory does not grow
+    with the counts.
 
     Args:
         points: (N, 3) points or their :func:`build_tree`.
-        radius: in the unit of the points; a distance of exactly `radius` is within.
-        progress: called with (stage, detail).
+        radius: Radius in the unit of the points; a point at a distance of exactly `radius` counts.
+        progress: Called with (stage, detail).
 
     Returns:
         (N,) int64, at least 1.
 
     Raises:
-        InputError: unusable points; a radius that is not a positive number, or so large that
+        InputError: The points are invalid, or the radius is not a positive number or so large that
             counting would take hours.
     """
     tree = points if isinstance(points, KDTree) else build_tree(points)
@@ -167,7 +165,7 @@ def count_neighbours(
     for start in range(0, tree.n, BLOCK):
         if progress is not None:
             progress("count", f"neighbours of point {start:,} of {tree.n:,}")
-        # in the tree's order neighbours share the processor's cache
+        # in the order of the tree, neighbours are in the processor cache
         rows = tree.indices[start : start + BLOCK]
         counts[rows] = tree.query_ball_point(
             tree.data[rows], radius, return_length=True, workers=-1
@@ -175,22 +173,22 @@ def count_neighbours(
     return counts
 
 
-_MOST_CLASSES = 1_000_000  # 16 MB of edges and counts; a picture shows some thousands
+_MOST_CLASSES = 1_000_000  # 16 MB of edges and counts
 
 
 def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
     """Compute the histogram of neighbour counts and its Gaussian.
 
     Args:
-        neighbours: (N,) whole numbers.
-        classes: number of classes between the least and the largest count, as in CloudCompare,
-            whose own number is the square root of N, rounded up. Classes narrower than 1 can hold
-            no whole number and stay empty at regular distances, which is an artefact. None avoids
-            it: classes of a whole width around whole numbers, at most that square root.
+        neighbours: (N,) integers.
+        classes: Number of classes between the smallest and the largest count, as in CloudCompare,
+            whose default is the square root of N, rounded up. Classes narrower than 1 may contain
+            no integer, so empty classes at regular distances are an artefact. None avoids it with
+            classes of integer width around integers, at most as many as that square root.
 
     Raises:
-        InputError: no counts, counts that are not finite numbers below 2^53, less than one class,
-            or more than a million.
+        InputError: There are no counts, a count is not a finite number below 2^53, or `classes` is
+            less than one or more than a million.
     """
     neighbours = np.asarray(neighbours)
     if neighbours.ndim != 1 or neighbours.dtype.kind not in "iuf":
@@ -199,7 +197,7 @@ def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
         )
     if not len(neighbours):
         raise InputError("a histogram needs at least one count")
-    if not (np.abs(neighbours.astype(np.float64)) < 2.0**53).all():  # whole numbers in float64
+    if not (np.abs(neighbours.astype(np.float64)) < 2.0**53).all():  # exact in float64
         raise InputError("the counts must be finite and below 2^53")
     low, high = int(neighbours.min()), int(neighbours.max())
     if classes is None:
@@ -218,7 +216,7 @@ def histogram(neighbours: np.ndarray, classes: int | None = None) -> Histogram:
 def default_classes(n: int) -> int:
     """Return the square root of the number of points, rounded up.
 
-    99 for the paper's 9,666 points, 451 for its 203,122.
+    It is 99 for 9,666 points and 451 for 203,122 points, two clouds of the paper.
     """
     return ceil(sqrt(n))
 
@@ -232,11 +230,11 @@ def check_radius(radius: float) -> None:
 
 
 def _check_cost(tree: KDTree, radius: float) -> None:
-    """Refuse a radius at which all points together have more than MAX_PAIRS neighbours."""
+    """Raise InputError if all points together have more than MAX_PAIRS neighbours."""
     if tree.n**2 <= MAX_PAIRS:
         return
     probes = tree.data[:: ceil(tree.n / _PROBES)]
-    # Few probes at a time, so that a radius that contains everything is found at the first few.
+    # Small batches, so that a radius that contains all points is detected after the first one.
     mean, seen = 0.0, 0
     for part in np.array_split(probes, ceil(len(probes) / 10)):
         seen += len(part)
@@ -253,6 +251,6 @@ def _check_cost(tree: KDTree, radius: float) -> None:
 
 
 def _places(xyz: np.ndarray) -> np.ndarray:
-    """(M, 3) distinct points of (N, 3)."""
+    """Return the (M, 3) distinct points of (N, 3)."""
     xyz = xyz[np.lexsort(xyz.T)]
     return xyz[np.concatenate([[True], (np.diff(xyz, axis=0) != 0).any(1)])]

@@ -1,4 +1,4 @@
-"""Shape of a cloud around a point, from the eigenvalues of its neighbours' covariance.
+"""Shape of a cloud around a point, from the eigenvalues of the covariance of its neighbours.
 
 With the eigenvalues l1 >= l2 >= l3 of the covariance of the points within R (West et al. 2004;
 Hackel, Wegner & Schindler, "Contour detection in unstructured 3D point clouds", CVPR 2016, Table 1;
@@ -22,17 +22,18 @@ from scipy.spatial import KDTree
 from .._utils.progress import Progress
 from .density import BLOCK, build_tree, check_radius
 
-NEIGHBOURS = 20  # enough for a covariance, and few enough that all but isolated points have them
-_PAIRS = 2_000_000  # neighbours listed at a time
+NEIGHBOURS = 20  # enough for a covariance; only isolated points have fewer
+_PAIRS = 2_000_000  # neighbours per block
 
 
 @dataclass(frozen=True, eq=False)
 class LocalShape:
-    """Shape around some points of a cloud; NaN where a point has too few neighbours.
+    """Shape around points of a cloud; NaN for a point with too few neighbours.
 
     Attributes:
         index: (M,) int64 rows of the points in their cloud.
-        linearity, planarity, sphericity, surface_variation, border: (M,) float64, see the module.
+        linearity, planarity, sphericity, surface_variation, border: (M,) float64 features, see
+            the module.
     """
 
     index: np.ndarray
@@ -44,7 +45,7 @@ class LocalShape:
 
     @property
     def known(self) -> np.ndarray:
-        """(M,) bool: the points with enough neighbours."""
+        """Return (M,) bool, the points with enough neighbours."""
         return np.isfinite(self.linearity)
 
     def features(self) -> dict[str, np.ndarray]:
@@ -63,26 +64,27 @@ def local_shape(
 ) -> LocalShape:
     """Compute the shape within `radius` of each point from the same number of neighbours.
 
-    The covariance of few points is flatter than that of many, so that features of all neighbours
-    would vary with the density at the same shape. Therefore 20 neighbours, drawn at random, are
-    used for each point.
+    The covariance of few points is flatter than that of many points of the same shape, so features
+    of all neighbours would depend on the density. Therefore 20 random neighbours are used for each
+    point.
 
     Args:
         xyz: (N, 3) points.
-        radius: in their unit.
-        neighbours: (N,) number of neighbours, from :func:`sfmkit.clouds.density.count_neighbours`.
-        most: of a larger cloud this many points are used, evenly.
-        seed: of the draw.
-        progress: called with (stage, detail).
+        radius: Radius in the unit of the points.
+        neighbours: (N,) numbers of neighbours, from
+            :func:`sfmkit.clouds.density.count_neighbours`.
+        most: Largest number of points; evenly spaced rows of a larger cloud are used.
+        seed: Seed of the random neighbours.
+        progress: Called with (stage, detail).
 
     Raises:
-        InputError: unusable points or radius.
+        InputError: The points or the radius are invalid.
     """
     check_radius(radius)
     shuffled = np.random.default_rng(seed).permutation(len(xyz))
     tree = build_tree(
         np.asarray(xyz)[shuffled]
-    )  # the lowest row numbers of a neighbourhood are a random draw from it
+    )  # the rows are shuffled, so the first rows of a neighbourhood are a random sample
     index = np.arange(0, len(xyz), ceil(len(xyz) / most))
     features = np.full((5, len(index)), np.nan)
     able = np.flatnonzero(neighbours[index] >= NEIGHBOURS)
@@ -96,12 +98,12 @@ def local_shape(
 
 
 def _features(tree: KDTree, points: np.ndarray, radius: float) -> np.ndarray:
-    """(5, M) features around (M, 3) points that all have enough neighbours."""
+    """Compute (5, M) features around (M, 3) points, all with enough neighbours."""
     lists = tree.query_ball_point(points, radius, return_sorted=True, workers=-1)
     near = tree.data[np.array([some[:NEIGHBOURS] for some in lists])]  # (M, 20, 3)
     mean = near.mean(1)
     away = near - mean[:, None]
     l3, l2, l1 = np.maximum(np.linalg.eigvalsh(away.mT @ away), 0).T
     border = np.linalg.norm(mean - points, axis=1) / radius
-    with np.errstate(invalid="ignore"):  # copies of one point have no shape: NaN
+    with np.errstate(invalid="ignore"):  # coincident points have no shape: NaN
         return np.stack([(l1 - l2) / l1, (l2 - l3) / l1, l3 / l1, l3 / (l1 + l2 + l3), border])

@@ -1,4 +1,4 @@
-"""Figures with matplotlib, and the colours of operators."""
+"""Matplotlib figures, and the colours of operators."""
 
 from .colours import operator_colour, operator_rgb
 from .figures import (

@@ -1,12 +1,12 @@
-"""The colour of each operator, the same in plots, recordings and reports."""
+"""Colours of operators, the same in plots, recordings and reports."""
 
 from __future__ import annotations
 
 from zlib import crc32
 
-# Okabe and Ito's palette (2008), distinguishable with every kind of colour vision. Black and yellow
-# are left out: black is used for text, and yellow is not visible on white paper. Further operators
-# have Tol's "muted" colours (2021).
+# Palette of Okabe and Ito (2008), distinguishable with all kinds of colour vision. Black is
+# reserved for text, and yellow is not visible on white paper. Further operators have the "muted"
+# colours of Tol (2021).
 _ORANGE, _SKY, _GREEN, _BLUE, _RED, _PURPLE = (
     "#E69F00",
     "#56B4E9",

@@ -1,4 +1,4 @@
-"""A figure of two registered clouds."""
+"""Figure of two registered clouds."""
 
 from __future__ import annotations
 

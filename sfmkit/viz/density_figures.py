@@ -1,4 +1,4 @@
-"""Figures of a cloud's density, as the paper's Figures 13 to 17."""
+"""Figures of the density of a cloud, as in Figures 13 to 17 of the paper."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..clouds.density import Density, Histogram, default_classes, histogram
 from ..types import PointCloud
 from .figures import cloud_figure, unit_of
 
-COLOURS = "cividis"  # readable with every kind of colour vision
-# percentile of the counts that has the last colour, so that a few outliers do not darken the rest
+COLOURS = "cividis"  # distinguishable with all kinds of colour vision
+# percentile of the counts with the last colour, so that a few outliers do not darken the others
 _BRIGHTEST = 98
 
 

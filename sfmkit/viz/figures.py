@@ -1,7 +1,7 @@
-"""Figures of photographs, features, matches and clouds, in the operators' colours.
+"""Figures of photographs, features, matches and clouds, in the colours of the operators.
 
-Each function returns a matplotlib Figure, which a notebook shows and :func:`save` writes. No
-display is needed and no global state is changed.
+Each function returns a matplotlib Figure. A notebook displays it, and :func:`save` writes it to a
+file. The functions need no display and do not change global state.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from .sampling import spread_strongest
 if TYPE_CHECKING:
     from ..pipeline.reconstruction import Reconstruction
 
-# Lines over photographs have a dark edge, so that they are visible on bright and on dark ground.
+# Lines on photographs have a dark edge, so that they are visible on bright and dark backgrounds.
 CASING = "#202020"
 MATCH = "#F0E442"  # matches without an operator
 OUTLIER = "#F5F5F5"
-MAX_DOTS = 200_000  # points of a cloud that a picture can show
+MAX_DOTS = 200_000  # largest number of points in a picture
 
 
 def photographs(
     *images: Any, titles: Sequence[str] = (), height: float = 4.0
 ) -> tuple[Figure, list[Axes]]:
-    """Show photographs side by side, axes in pixels.
+    """Show photographs side by side, with axes in pixels.
 
     Args:
         images: :class:`sfmkit.io.images.Image`, or (H, W) or (H, W, 3) arrays.
@@ -55,12 +55,14 @@ def photographs(
 def feature_figure(image: Any, *features: Features, most: int = 300) -> Figure:
     """Draw strong keypoints, spread over the photograph, with scale and orientation.
 
-    A circle is the neighbourhood that is described, a tick its orientation. The strongest of every
-    cell of a grid are drawn; the strongest of all often lie in a few places.
+    A circle shows the described neighbourhood, a tick its orientation. The strongest keypoints of
+    each cell of a grid are drawn, because the strongest ones of the image are often concentrated in
+    a few regions.
 
     Args:
-        features: features of this image, of one or several operators.
-        most: number of keypoints drawn per operator.
+        image: The photograph.
+        features: Features of this image, of one or several operators.
+        most: Largest number of keypoints per operator.
     """
     figure, (ax,) = photographs(image, height=5)
     handles = []
@@ -113,9 +115,9 @@ def match_figure(
     Args:
         x1, x2: (N, 2) pixels.
         right: (N,) bool; the other matches are drawn white and dashed.
-        operator: name that gives the colour, default yellow.
-        most: number of matches drawn, a random sample.
-        meaning: what `right` says of a match, for the title.
+        operator: Name of the operator, which determines the colour; yellow without it.
+        most: Largest number of matches, a random sample.
+        meaning: Meaning of `right` for the title.
     """
     figure, ax, shift = _side_by_side(image1, image2)
     a, b = np.asarray(x1), np.asarray(x2) + [shift, 0]
@@ -132,18 +134,19 @@ def match_figure(
 def match_picture(result: Reconstruction, most: int = 140) -> Figure:
     """Draw a sample of the inliers of a reconstruction by operator, and of the outliers.
 
-    The counts are those of the per-operator statistics: a match that several operators found counts
+    The counts are those of the per-operator statistics: a match found by several operators counts
     for each of them. Its line has the colour of the operator whose pixels were kept.
 
     Args:
-        most: lines in all; more would hide one another.
+        result: A reconstruction.
+        most: Largest number of lines; more would cover each other.
     """
     corr, inliers = result.correspondences, result.two_view.inliers.numpy()
     figure, ax, shift = _side_by_side(*result.images)
     a, b = corr.x1.numpy(), corr.x2.numpy() + [shift, 0]
     rng = np.random.default_rng(0)
     outliers = np.flatnonzero(~inliers)
-    # As many as their share, so that the picture shows how much was rejected.
+    # Proportional to their share, so that the picture shows the share of rejected matches.
     drawn = rng.permutation(outliers)[: round(most * len(outliers) / max(len(inliers), 1))]
     _lines(ax, a, b, drawn, OUTLIER, linestyles="--")
     handles = []
@@ -167,11 +170,11 @@ def match_picture(result: Reconstruction, most: int = 140) -> Figure:
 
 
 def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
-    """A figure with two photographs, axes in pixels of the first, and the x of the second."""
+    """Draw two photographs with axes in pixels of the first; also return the x of the second."""
     first, second = (getattr(image, "rgb", image) for image in (image1, image2))
     (h1, w1), (h2, w2) = first.shape[:2], second.shape[:2]
     shift = round(1.02 * w1)
-    thin = max(1, round((w1 + w2) / 3000))  # a page shows no more pixels
+    thin = max(1, round((w1 + w2) / 3000))  # a page has no more pixels
     figure = Figure(figsize=(13, 13 * max(h1, h2) / (shift + w2) + 0.8), layout="constrained")
     ax = figure.add_subplot()
     for pixels, x0, w, h in ((first, 0, w1, h1), (second, shift, w2, h2)):
@@ -189,7 +192,7 @@ def _side_by_side(image1: Any, image2: Any) -> tuple[Figure, Axes, int]:
 def _lines(
     ax: Axes, a: np.ndarray, b: np.ndarray, rows: np.ndarray, colour: str, **style: Any
 ) -> None:
-    """Lines from a to b with a dark edge, and dots at both ends."""
+    """Draw lines from a to b with a dark edge, and dots at both ends."""
     segments = np.stack([a[rows], b[rows]], 1)
     edge = _casing(1.2)
     ax.add_collection(
@@ -211,8 +214,8 @@ def epipolar_figure(
     Args:
         x1: (N, 2) pixels of image 1.
         lines2: (N, 3) lines in image 2, ``a x + b y + c = 0``.
-        x2: (N, 2) the matches in image 2.
-        lines1: (N, 3) lines in image 1, of x2.
+        x2: (N, 2) pixels of the matches in image 2.
+        lines1: (N, 3) epipolar lines of x2 in image 1.
     """
     figure, axes = photographs(image1, image2, titles=("image 1", "image 2: the epipolar lines"))
     colours = [f"C{k % 10}" for k in range(len(x1))]
@@ -228,20 +231,21 @@ def epipolar_figure(
 
 
 def unit_of(cloud: PointCloud) -> str:
-    """Return the unit of a cloud's lengths with a leading space; empty if unknown."""
+    """Return the unit of lengths of a cloud with a leading space; empty if unknown."""
     return " baselines" if cloud.operators else ""
 
 
 def cloud_figure(
     cloud: PointCloud, *, colour: Any | None = None, label: str = "", cameras: Any | None = None
 ) -> Figure:
-    """Draw a cloud in the directions of camera 1's z axis and y axis.
+    """Draw a cloud along the z axis and along the y axis of camera 1.
 
     At most 200,000 points are drawn, and only the inner 98 % in each direction.
 
     Args:
-        colour: (M,) numbers to colour the points by, None for the photograph's colours.
-        label: what the numbers are, with their unit.
+        cloud: M points.
+        colour: (M,) numbers that determine the colours; None for the colours of the photograph.
+        label: Quantity and unit of these numbers.
         cameras: (2, 3) centres of the cameras, drawn in the second view.
     """
     near = _shown(cloud)
@@ -288,7 +292,7 @@ def cloud_picture(cloud: PointCloud) -> Figure:
 
 
 def _shown(cloud: PointCloud) -> np.ndarray:
-    """The rows of a cloud that a picture shows."""
+    """Choose the rows of a cloud to draw."""
     X = cloud.xyz.numpy()
     if len(X) <= 2:
         return np.arange(len(X))
@@ -304,11 +308,11 @@ def _two_sides(
     shades: np.ndarray,
     cmap: str | None = None,
 ) -> PathCollection:
-    """Some points of a cloud along the z and the y axis, on two axes."""
+    """Draw points of a cloud along the z axis and along the y axis, on two axes."""
     X = cloud.xyz.numpy()[near]
     size = float(np.clip(40_000 / max(len(X), 1), 0.5, 4))
     for ax, j in zip(axes, (1, 2)):
-        order = np.argsort(-X[:, 2] if j == 1 else -X[:, 1])  # the nearest last, on top
+        order = np.argsort(-X[:, 2] if j == 1 else -X[:, 1])  # the nearest points last, on top
         dots = ax.scatter(
             X[order, 0],
             X[order, j],
@@ -322,17 +326,17 @@ def _two_sides(
 
 
 def label_side(ax: Axes, cloud: PointCloud, j: int) -> None:
-    """Label a view of a cloud's x axis and its axis j, y or z.
+    """Label a view of the x axis and the axis j (y or z) of a cloud.
 
-    Whether the view along camera 1's y axis is a view from above depends on how the camera was
-    held: a drone's camera looks down, and there the view along z is from above.
+    The view along the y axis of camera 1 is not always a view from above: the camera of a drone
+    looks down, and then the view along z is from above.
     """
     ours = bool(cloud.operators)
     unit = f" ({unit_of(cloud).strip()})" if ours else ""
     down = {1: ", down", 2: ", depth"} if ours else {1: "", 2: ""}
     ax.set(aspect="equal", xlabel=f"x{unit}", ylabel=f"{'xyz'[j]}{down[j]}{unit}")
     if ours:
-        ax.set_title("as camera 1 sees it" if j == 1 else "along the y axis of camera 1")
+        ax.set_title("view of camera 1" if j == 1 else "along the y axis of camera 1")
     else:
         ax.set_title("along z" if j == 1 else "along y")
     if j == 1 and ours:
@@ -340,6 +344,6 @@ def label_side(ax: Axes, cloud: PointCloud, j: int) -> None:
 
 
 def save(figure: Figure, path: str | Path, dpi: int = 110) -> None:
-    """Write a figure as a picture, off screen."""
+    """Write a figure to an image file without a display."""
     FigureCanvasAgg(figure)
     figure.savefig(path, dpi=dpi)

@@ -1,4 +1,4 @@
-"""The cloud and both cameras along the y axis of camera 1, as a picture with a scale."""
+"""Picture of the cloud and both cameras along the y axis of camera 1, with a scale."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 from ..types import PointCloud, TwoView
 
 DPI = 130
-MOST = 6000  # points drawn
+MOST = 6000  # largest number of points
 
 
 def scene_from_above(
     cloud: PointCloud, view: TwoView
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Draw the scene in the plane of camera 1's x and z axes, lengths in baselines.
+    """Draw the scene in the plane of the x and z axes of camera 1, lengths in baselines.
 
     Returns:
-        (H, W, 3) uint8 picture, and a function from (N, 3) points in camera 1 to their (N, 2)
-        pixels in it.
+        (H, W, 3) uint8 picture, and a function that maps (N, 3) points in the frame of camera 1 to
+        (N, 2) pixels of the picture.
     """
     X = cloud.xyz.numpy()
     centre2 = np.zeros(3) if view.R is None or view.t is None else -(view.R.T @ view.t).numpy()
@@ -32,7 +32,7 @@ def scene_from_above(
     canvas = FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     ax.scatter(X[near, 0], X[near, 2], c=cloud.rgb.numpy()[near] / 255, s=3, linewidths=0)
-    outward = 1 if centre2[0] > 0 else -1  # the names go to either side of the pair
+    outward = 1 if centre2[0] > 0 else -1  # the names are on the outer sides of the cameras
     for name, (x, _, z), side in (
         ("camera 1", np.zeros(3), -outward),
         ("camera 2", centre2, outward),

@@ -1,4 +1,4 @@
-"""A picture of a model: its points and cameras from above and from the front."""
+"""Picture of a model: points and cameras from above and from the front."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .colours import operator_colour
 
 __all__ = ["map_picture"]
 
-_MOST = 60_000  # points in one panel
-_MARGIN = 0.05  # of the extent, around the 1st to 99th percentile of the points and all cameras
+_MOST = 60_000  # largest number of points per panel
+_MARGIN = 0.05  # margin over the extent of all cameras and the inner 98 % of the points
 
 
 def map_picture(cloud: PointCloud, centres: np.ndarray, R: np.ndarray, t: np.ndarray) -> Figure:

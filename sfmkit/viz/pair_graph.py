@@ -1,4 +1,4 @@
-"""The pairs of a folder as a graph of its photographs, and as a matrix."""
+"""Picture of the pairs of a folder: a graph of the photographs, and a matrix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..types import Verdict
 
 __all__ = ["VERDICT_COLOURS", "pair_graph"]
 
-# Okabe and Ito's palette, see sfmkit.viz.colours.
+# Palette of Okabe and Ito, see sfmkit.viz.colours.
 VERDICT_COLOURS = {
     Verdict.GENERAL.value: "#0072B2",
     Verdict.PLANAR.value: "#009E73",
@@ -24,9 +24,9 @@ VERDICT_COLOURS = {
     Verdict.TOO_LITTLE.value: "#BBBBBB",
     "failed": "#D55E00",
 }
-_LABELS = 40  # photographs whose names can be read in the picture
-_LONGEST = 18  # characters of a name
-_WIDEST = 4.0  # points, of the line with the most inliers
+_LABELS = 40  # largest number of photographs with legible names
+_LONGEST = 18  # largest number of characters of a name
+_WIDEST = 4.0  # width of the line with the most inliers, points
 
 
 def pair_graph(
@@ -43,11 +43,11 @@ def pair_graph(
 
     Args:
         names: N names of photographs.
-        pairs: (P, 2) indices.
+        pairs: (P, 2) indices of photographs.
         verdicts: P verdicts.
         inliers: (P,) numbers of inliers.
-        positions: (N, 2) metres east and north; None, or NaN in any row, puts the photographs on a
-            circle in their order.
+        positions: (N, 2) metres east and north. If it is None or contains NaN, the photographs are
+            drawn on a circle in their order.
     """
     n = len(names)
     figure = Figure(figsize=(13, 6.5), layout="constrained")
@@ -76,7 +76,7 @@ def _draw_lines(
 ) -> None:
     most = max(float(inliers.max(initial=0)), 1.0)
     handles = []
-    for verdict, colour in reversed(VERDICT_COLOURS.items()):  # the general ones on top
+    for verdict, colour in reversed(VERDICT_COLOURS.items()):  # general pairs on top
         rows = np.array([v == verdict for v in verdicts], dtype=bool)
         if not rows.any():
             continue

@@ -1,4 +1,4 @@
-"""Even samples of points in an image."""
+"""Evenly spread samples of points in an image."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 def spread(x: np.ndarray, n: int) -> np.ndarray:
     """Choose rows of at most n points of (N, 2) that are spread evenly over the image.
 
-    The points are divided into the cells of a grid, and the first of every cell are taken before
-    any second. Of points sorted by strength, this chooses the strongest of every cell.
+    The points are assigned to the cells of a grid. The first point of every cell is chosen before
+    any second one. If the points are sorted by strength, the strongest of every cell is chosen.
     """
     if len(x) <= n:
         return np.arange(len(x))
@@ -26,6 +26,6 @@ def spread(x: np.ndarray, n: int) -> np.ndarray:
 
 
 def spread_strongest(x: np.ndarray, scores: Any, n: int) -> np.ndarray:
-    """Choose rows of n strong keypoints (N, 2), spread evenly; without scores, the first ones."""
+    """Choose rows of n strong, evenly spread keypoints (N, 2); without scores, the first ones."""
     order = np.arange(len(x)) if scores is None else np.argsort(-np.asarray(scores), kind="stable")
     return order[spread(x[order], n)]

@@ -1,4 +1,4 @@
-"""Render a cloud: every point is a small disc, near ones in front."""
+"""Rendering of clouds as small discs with occlusion."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def splat(
     dot: int = 3,
     background: int = 255,
 ) -> np.ndarray:
-    """Render a cloud as camera 1 sees it, or turned about the middle of the cloud.
+    """Render a cloud from camera 1, or from a viewpoint turned about the centre of the cloud.
 
     Args:
         cloud: M points in the frame of camera 1.
-        camera: of image 1; its field of view is kept.
-        width: of the picture, pixels.
-        yaw_deg, pitch_deg: position of the viewer to the right of, and above, camera 1.
-        dot: diameter of a point, pixels.
-        background: grey level.
+        camera: Camera of image 1; the picture has its field of view.
+        width: Width of the picture, pixels.
+        yaw_deg, pitch_deg: Angles of the viewpoint to the right of and above camera 1, degrees.
+        dot: Diameter of a point, pixels.
+        background: Grey level of the background.
 
     Returns:
         (H, W, 3) uint8.
@@ -52,6 +52,6 @@ def splat(
     disc = np.floor(disc[(disc**2).sum(1) <= dot**2 / 4 + 0.01]).astype(np.int64)
     at = np.rint(x[far_first, ::-1]).astype(np.int64)[:, None] + disc
     row, column = np.clip(at, 0, (h - 1, w - 1)).reshape(-1, 2).T
-    # Where several points fall on one pixel, the last one written is the nearest.
+    # If several points are projected onto one pixel, the nearest one is written last.
     picture[row, column] = np.repeat(cloud.rgb.numpy()[far_first], len(disc), axis=0)
     return picture
