@@ -1,11 +1,12 @@
-"""Time the main job beside busy processes, with COLMAP and a recipe in cv2 in the same run.
+"""Time the main job while other processes are busy, together with COLMAP and a recipe in cv2.
 
     SFMKIT_DATA=... python benchmarks/contention.py [--busy 0,1,2,4,8] [--runs 3] [--max-size PX]
         [--jobs main,sift,estimate,pycolmap,cv2] [--plot FILE]
 
-Every job runs in a process of its own, which reports the seconds of its work without imports. A
-busy process repeats a loop in Python and never sleeps. The jobs alternate within a round, so that
-all of them see the same machine. Prints medians and, below them, the factor over the idle machine.
+Every job runs in its own process, which reports the duration of its work without imports. A busy
+process repeats a loop in Python and never sleeps. The jobs alternate within a round, so that the
+load of the machine is the same for all of them. Medians and the factors with respect to the idle
+machine are printed.
 
 * main: `reconstruct` with the default preset on EPFL fountain-P11, images 0000 and 0001;
 * sift: the same with SIFT alone;
@@ -70,7 +71,7 @@ def prepare(job: str, max_size: int | None) -> Callable[[], object]:
         paths, camera = reduced(paths, pair.camera1, max_size)
     else:
         camera = pair.camera1
-    for path in paths:  # both in the file cache, as for the other jobs
+    for path in paths:  # load both into the file cache, as for the other jobs
         read_image(path)
     if job == "pycolmap":
         return lambda: colmap(*paths, camera)
@@ -78,7 +79,7 @@ def prepare(job: str, max_size: int | None) -> Callable[[], object]:
 
 
 def reduced(paths, camera, max_size: int):
-    """Copies of the photographs with this longest side, and their camera."""
+    """Write copies of the photographs with this longest side, and return them with the camera."""
     import PIL.Image
 
     folder = Path(tempfile.mkdtemp(prefix="contention-"))
@@ -101,7 +102,7 @@ def seconds_of(job: str, max_size: int | None) -> float:
 
 
 def plot(path: Path, busy_counts: list[int], medians: dict[str, list[float]]) -> None:
-    """Draw the factor over the idle machine."""
+    """Draw the factors with respect to the idle machine."""
     import matplotlib
 
     matplotlib.use("agg")

@@ -1,4 +1,4 @@
-"""Derivatives and transforms of every public function of sfmkit.geometry.
+"""Check derivatives and transforms of every public function of sfmkit.geometry.
 
     python benchmarks/derivatives.py [--compile] [--only NAME ...]
 
@@ -32,7 +32,7 @@ from sfmkit.types import Camera
 D = torch.float64
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "derivatives.md"
 YES, NO, WRONG, NONE = "yes", "raises", "wrong", "–"
-_STEP = 1e-5  # of finite differences, relative
+_STEP = 1e-5  # relative step of finite differences
 _COMPILE_SECONDS = 120
 
 
@@ -81,7 +81,7 @@ def cases() -> dict[str, Case]:
     n1, n2 = sg.normalize(x1, K1), sg.normalize(x2, K2)
     E, F = sg.essential_from_pose(R, t), sg.fundamental_from_pose(R, t, K1, K2)
     H = sg.homography_from_pose(R, t, n, d, K1, K2)
-    M = sg.fundamental_8point(n1 * 1.2, n2 * 1.2)  # coordinates of a focal length that is wrong
+    M = sg.fundamental_8point(n1 * 1.2, n2 * 1.2)  # coordinates for a wrong focal length
     square = torch.tensor([0.1, 0.7, 0.95, 1.5], dtype=D)
     poly, P = torch.tensor([-0.2, 0.05, 1e-3, -2e-3], dtype=D), normal(2, 3, 4)
     camera = Camera(K1.numpy() * [[1, 0, 1], [0, 1, 1], [1, 1, 1]], (640, 480), poly.numpy())
@@ -290,7 +290,7 @@ class Check:
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        # Per entry: those of F and H differ by orders of magnitude.
+        # Per entry, because the entries of F and H differ by orders of magnitude.
         self.units = [a.abs().clamp(min=1e-6 * float(a.detach().abs().max())) for a in case.at]
         self.at = tuple(a / u for a, u in zip(case.at, self.units))
         found = self.values(*self.at)
@@ -394,7 +394,7 @@ def _limit(seconds: int) -> Iterator[None]:
 
 
 class Entry(NamedTuple):
-    """One entry of the table, with the message of what failed."""
+    """One entry of the table, with the message of a failure."""
 
     text: str
     message: str = ""
@@ -412,7 +412,7 @@ def entry(check: Check, name: str) -> Entry:
         return Entry(WRONG, str(error))
     except TypeError as error:
         return Entry("float64" if name == "float32" else NO, str(error))
-    except Exception as error:  # every error of torch is an answer here
+    except Exception as error:  # any error of torch is a result of the check
         return Entry(NO, f"{type(error).__name__}: {error}")
 
 

@@ -2,13 +2,13 @@
 
     SFMKIT_DATA=... python benchmarks/fountain.py [--runs 3] [--markdown]
 
-Prints the statistics of every preset beside the paper's Table 6, the pose error and the precision
+Prints the statistics of every preset next to the paper's Table 6, the pose error and the precision
 of the cloud's matches against the true cameras, and the times, all from one run:
 
 * sfmkit, every preset, from reading to triangulating (without imports);
 * the paper's recipe written with cv2: the same operators, ``BFMatcher(crossCheck=True)``,
   ``findFundamentalMat(RANSAC, 3 px)``, ``recoverPose``, ``triangulatePoints``. OpenCV's wheels do
-  not contain SURF, so that of sfmkit is used, which is faster and so favours the recipe;
+  not contain SURF, so the faster one of sfmkit is used, which favours the recipe;
 * pycolmap: SIFT extraction, matching and two-view geometry (its database path), with the same
   number of threads.
 """

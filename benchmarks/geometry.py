@@ -1,12 +1,12 @@
-"""Two-view geometry beside kornia and OpenCV: time, accuracy, and cost from 1k to 1M points.
+"""Compare two-view geometry with kornia and OpenCV, and measure the cost of 1k to 1M points.
 
     python benchmarks/geometry.py [--threads 2] [--runs 15] [--largest 1000000]
     python benchmarks/geometry.py --peers
 
 Prints, as Markdown:
 
-* functions beside kornia and OpenCV: time as a multiple of sfmkit's, the figures of docs/kornia.md;
-* accuracy of the solvers on exact matches, beside kornia;
+* functions compared with kornia and OpenCV: time relative to sfmkit, as in docs/kornia.md;
+* accuracy of the solvers on exact matches, compared with kornia;
 * 30,000 matches, float64: triangulation and the choice among four poses;
 * time per point and peak memory of triangulation, residuals and one step of bundle adjustment as N
   grows tenfold.
@@ -56,7 +56,9 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=15)
     parser.add_argument("--largest", type=int, default=1_000_000)
-    parser.add_argument("--peers", action="store_true", help="only time and accuracy beside peers")
+    parser.add_argument(
+        "--peers", action="store_true", help="only time and accuracy compared with peers"
+    )
     args = parser.parse_args()
     if args.peers:
         torch.set_num_threads(args.threads)
@@ -65,7 +67,9 @@ def main() -> None:
         solver_accuracy()
         return
     sizes = [n for n in (1_000, 10_000, 100_000, 1_000_000) if n <= args.largest]
-    memory = {n: peak_memory(n) for n in sizes}  # first: a child must be forked before any thread
+    memory = {
+        n: peak_memory(n) for n in sizes
+    }  # first, because children must be forked before threads start
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(args.threads)
     function_times(args.runs)
@@ -75,7 +79,7 @@ def main() -> None:
 
 
 def scene(n: int, noise: float = 0.5) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Pixels in both images, K, R and t of points in a box in front of two cameras."""
+    """Simulate points in a box in front of two cameras: pixels in both images, K, R and t."""
     g = torch.Generator().manual_seed(0)
     X = torch.rand(n, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor(
         [-2.0, -1.5, 4.0]
@@ -174,7 +178,7 @@ def function_times(runs: int) -> None:
             f"{times[k] / times['sfmkit']:.2f}" if k in times else "" for k in ("kornia", "cv2")
         ]
         rows.append((name, f"{1e3 * times['sfmkit']:.2f}", *ratios))
-    print("\nprocessor time beside kornia and OpenCV\n")
+    print("\nprocessor time compared with kornia and OpenCV\n")
     table(("", "sfmkit, ms", "kornia / sfmkit", "cv2 / sfmkit"), rows)
 
 
@@ -204,7 +208,7 @@ def solver_accuracy(n: int = 20_000) -> None:
 def exact_samples(
     n: int, size: int, forward: bool = False, flat: float = 1.0
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Normalised matches (n, size, 2) of a box, `flat` times as deep, and their E of unit norm."""
+    """Draw normalised matches (n, size, 2) of a box with depth times `flat`, and their unit E."""
     g = torch.Generator().manual_seed(0)
     X = torch.rand(n, size, 3, generator=g, dtype=D) * torch.tensor([4.0, 3.0, 4.0 * flat])
     X = X + torch.tensor([-2.0, -1.5, 4.0])
@@ -218,7 +222,7 @@ def exact_samples(
 
 
 def distances(candidates: Tensor, truth: Tensor) -> Tensor:
-    """(n,) distance of the nearest candidate (n, C, 3, 3) from the truth, both of unit norm."""
+    """Compute (n,) distances of the nearest candidates (n, C, 3, 3) to the truth, unit norm."""
     C = candidates.nan_to_num()
     C = C / C.flatten(-2).norm(dim=-1)[..., None, None].clamp(min=1e-300)
     apart = ((C - s * truth[:, None]).flatten(-2).norm(dim=-1) for s in (1, -1))
@@ -293,7 +297,7 @@ def growth(sizes: list[int], memory: dict[int, dict[str, float]], runs: int) -> 
 
 
 def peak_memory(n: int) -> dict[str, float]:
-    """Megabytes that each call takes at its peak beyond its inputs."""
+    """Measure the peak memory of each call beyond its inputs, megabytes."""
     return {
         name: in_child(n, name)
         for name in ("triangulate", "residuals", "bundle step", "covariance")
@@ -319,7 +323,7 @@ def in_child(n: int, name: str) -> float:
 
 
 def resident() -> float:
-    """Megabytes resident now."""
+    """Return the resident memory, megabytes."""
     with open("/proc/self/statm") as statm:
         return int(statm.read().split()[1]) * resource.getpagesize() / 2**20
 

@@ -31,14 +31,14 @@ COUNTS = ("matches", "inliers", "points")
 
 
 def demo() -> sfmkit.Reconstruction:
-    """The reconstruction of the bundled pair with the default options."""
+    """Reconstruct the bundled pair with the default options."""
     path1, path2, truth = demo_pair()
     camera = parse_intrinsics(truth, sfmkit.read_image(path1).size_wh)
     return sfmkit.reconstruct(path1, path2, camera, operators=OPERATORS)
 
 
 def statistics(result: sfmkit.Reconstruction) -> dict[str, dict[str, int]]:
-    """The counts of each operator."""
+    """Return the counts of each operator."""
     return {
         name: {count: int(getattr(line, count)) for count in COUNTS}
         for name, line in result.account.items()
@@ -46,7 +46,7 @@ def statistics(result: sfmkit.Reconstruction) -> dict[str, dict[str, int]]:
 
 
 def rendered(figure: Any, dpi: int) -> PIL.Image.Image:
-    """The pixels of a figure."""
+    """Render a figure to an image."""
     buffer = io.BytesIO()
     save(figure, buffer, dpi=dpi)  # type: ignore[arg-type]  # matplotlib writes to a file object too
     return PIL.Image.open(buffer).convert("RGB")

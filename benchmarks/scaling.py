@@ -36,14 +36,14 @@ Task = tuple[float, float]  # seconds of computing, megabytes through the store
 
 @dataclass(frozen=True)
 class Layout:
-    """A way to run the sweep.
+    """A partition of the sweep into tasks.
 
     Attributes:
-        name: for the legend.
-        tasks: recorded pair -> its tasks.
-        scheduler_s: seconds of the scheduler per task.
-        store_mb_s: total bandwidth of the shared store; infinite if every node has its own.
-        pairs_a_task: recorded pairs that `tasks` stands for.
+        name: Name in the legend.
+        tasks: Function that returns the tasks of a recorded pair.
+        scheduler_s: Time of the scheduler per task, seconds.
+        store_mb_s: Total bandwidth of the shared store; infinite if every node has its own store.
+        pairs_a_task: Number of pairs per task of `tasks`.
     """
 
     name: str
@@ -206,7 +206,7 @@ def record(args: argparse.Namespace) -> None:
             ]
             for kind, keys in (("features", detections), ("matches", matches))
         }
-        # Fusing is counted once for all seeds of a combination.
+        # Fusion is counted once for all seeds of a combination.
         spent = [
             sum(e.meta["seconds"]["estimate"] for e in unit)
             + sum({id(j): e.meta["seconds"]["fuse"] for j, e in zip(task.jobs, unit)}.values())

@@ -4,9 +4,10 @@
 
 Around a base case (500 matches, noise 0.5 px, 30 % of them wrong, baseline 0.2 of the mean depth,
 sideways, no plane, 60 degrees wide), one factor at a time is swept. The error is the larger of
-rotation and translation error; above 5 degrees, or without a model, a trial has failed. Every
-estimator gets the same matches, threshold (1 px), confidence (0.9999) and most samples (10,000),
-and nothing else; ours neither distance ratios nor operators. Writes the plot, prints Markdown.
+rotation and translation error; above 5 degrees, or without a model, a trial has failed. The input
+of all estimators is the same: matches, threshold (1 px), confidence (0.9999) and largest number of
+samples (10,000). The distance ratios and operators that sfmkit can use are not given. Writes the
+plot and prints Markdown.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ FACTORS = (
     Factor("off_axis_deg", "motion off the optical axis (°)", (0.0, 10.0, 30.0, 60.0, 90.0)),
     Factor("fov_deg", "field of view (°)", (20.0, 40.0, 60.0, 80.0, 100.0)),
 )
-# Okabe & Ito's colours, each with its own marker and dash, so that estimators can be distinguished
-# without colour.
+# Colours of Okabe & Ito, each with a different marker and dash, so that estimators can be
+# distinguished without colour.
 STYLES = {
     "sfmkit": ("#D55E00", "o", "-"),
     "cv2 USAC_MAGSAC": ("#0072B2", "s", "--"),
@@ -133,7 +134,7 @@ def _shaken(rng: np.random.Generator, sigma_deg: float) -> np.ndarray:
 def _seen(
     rng: np.random.Generator, K: np.ndarray, R: np.ndarray, centre: np.ndarray, n: int, planar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 2) pixels in both images of points before both cameras, uniform in image 1."""
+    """Draw points in front of both cameras: (n, 2) pixels in both images, uniform in image 1."""
     normal = np.array([0.3, -0.2, 1.0])
     x1, x2 = np.zeros((0, 2)), np.zeros((0, 2))
     while len(x1) < n:

@@ -1,10 +1,10 @@
-"""Combinations of operators on the Middlebury temple ring: 16 photographs around a plaster model.
+"""Evaluate combinations of operators on the 16 photographs of the Middlebury temple ring.
 
     SFMKIT_DATA=... python benchmarks/temple.py [--step 2]
 
 Reconstructs every pair of photographs that are `step` positions apart on the ring, and counts the
-pairs whose rotation and translation direction both err by less than 5 degrees, the pairs with a
-larger error, and the pairs that were rejected.
+pairs with errors of rotation and translation direction below 5 degrees, the pairs with a larger
+error, and the pairs that were rejected.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Folders of photographs: pairs matched and judged, and handed over to an engine for many views.
+"""Folders of photographs: matched and judged pairs, and models of many views by COLMAP.
 
 >>> from sfmkit.mapping import match_folder
 >>> matched = match_folder("photographs")

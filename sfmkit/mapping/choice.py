@@ -1,4 +1,4 @@
-"""Which pairs of a folder are matched: all, neighbours in order or in space, or similar ones."""
+"""Choice of the pairs of a folder: all, neighbours in order or in space, or similar ones."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ __all__ = [
 
 AUTO = "auto"
 _DEFAULTS = {"all": None, "sequential": 5, "gps": 10, "similar": 10}
-_FEW = 40  # photographs; 780 pairs
+_FEW = 40  # largest number of photographs of which all pairs are matched; 780 pairs
 _SEMI_MAJOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS 84
 
 
 @dataclass(frozen=True)
 class PairChoice:
-    """One rule.
+    """A rule that chooses pairs.
 
     Attributes:
         rule: ``all``, ``sequential``, ``gps`` or ``similar``.
-        count: The window of ``sequential``, the neighbours of ``gps`` and ``similar``.
+        count: Window of ``sequential``, or number of neighbours of ``gps`` and ``similar``.
     """
 
     rule: str
@@ -46,10 +46,10 @@ class PairChoice:
 
 
 def parse_choice(text: str) -> tuple[PairChoice, ...]:
-    """Parse rules such as ``sequential:5+similar:10``; the pairs of all of them are matched.
+    """Parse rules such as ``sequential:5+similar:10``, whose pairs are combined.
 
     Raises:
-        InputError: An unknown rule or a number that is not positive.
+        InputError: A rule is unknown, or a number is not positive.
     """
     rules = []
     for part in text.lower().split("+"):
@@ -67,7 +67,11 @@ def parse_choice(text: str) -> tuple[PairChoice, ...]:
 
 
 def default_choice(collection: Collection) -> tuple[PairChoice, ...]:
-    """All pairs of up to 40 photographs; of more, neighbours in order with similar or near ones."""
+    """Return the default rules for a collection.
+
+    These are all pairs of up to 40 photographs; for more photographs, neighbours in order together
+    with similar or near photographs.
+    """
     if len(collection) <= _FEW:
         return parse_choice("all")
     located = all(p.header.exif and p.header.exif.position for p in collection.photographs)
@@ -75,12 +79,12 @@ def default_choice(collection: Collection) -> tuple[PairChoice, ...]:
 
 
 def all_pairs(n: int) -> np.ndarray:
-    """Every two of n photographs: (P, 2) int64 with i < j."""
+    """List all pairs of n photographs: (P, 2) int64 with i < j."""
     return np.stack(np.triu_indices(n, 1), axis=1)
 
 
 def sequential_pairs(subfolders: Sequence[str], window: int) -> np.ndarray:
-    """Each photograph with the `window` next ones of its subfolder: (P, 2) int64 with i < j."""
+    """Pair each photograph with the `window` next ones of its subfolder: (P, 2) int64, i < j."""
     groups: dict[str, list[int]] = {}
     for index, name in enumerate(subfolders):
         groups.setdefault(name, []).append(index)
@@ -94,10 +98,10 @@ def sequential_pairs(subfolders: Sequence[str], window: int) -> np.ndarray:
 
 
 def local_positions(collection: Collection) -> np.ndarray:
-    """The positions of EXIF as (N, 3) float64 metres east, north and up of their mean.
+    """Convert the positions of EXIF to (N, 3) float64 metres east, north and up of their mean.
 
-    Positions without altitude get the mean altitude of the others, or 0. Rows are NaN where EXIF
-    has no position.
+    The altitude of positions without one is the mean altitude of the others, or 0. Rows without a
+    position are NaN.
     """
     positions = [p.header.exif and p.header.exif.position for p in collection.photographs]
     known = np.array([p or (np.nan, np.nan, np.nan) for p in positions], np.float64)
@@ -129,11 +133,12 @@ def local_positions(collection: Collection) -> np.ndarray:
 
 
 def nearest_in_space(positions: np.ndarray, k: int) -> np.ndarray:
-    """Each photograph with its k nearest in the plane: (P, 2) int64 with i < j.
+    """Pair each photograph with its k nearest ones in the plane: (P, 2) int64 with i < j.
 
     Args:
-        positions: (N, 3) metres east, north, up; rows with NaN have no neighbours. Heights are not
-            compared, because the altitude of GPS is several times less accurate.
+        positions: (N, 3) metres east, north, up; rows with NaN have no neighbours. Altitudes are
+            ignored, because GPS altitudes are several times less accurate.
+        k: Number of neighbours.
 
     Raises:
         InputError: Fewer than two photographs have a position.
@@ -150,10 +155,11 @@ def nearest_in_space(positions: np.ndarray, k: int) -> np.ndarray:
 
 
 def most_similar(similarity: np.ndarray, k: int) -> np.ndarray:
-    """Each photograph with its k most similar: (P, 2) int64 with i < j.
+    """Pair each photograph with its k most similar ones: (P, 2) int64 with i < j.
 
     Args:
-        similarity: (N, N) symmetric; the diagonal is not read.
+        similarity: (N, N) symmetric similarities; the diagonal is ignored.
+        k: Number of neighbours.
     """
     n = len(similarity)
     others = similarity.copy()
@@ -163,7 +169,7 @@ def most_similar(similarity: np.ndarray, k: int) -> np.ndarray:
 
 
 def _both(rows: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """The distinct pairs i < j of each row with its neighbours, which may be itself."""
+    """Return the distinct pairs i < j of each row and its neighbours, which may include itself."""
     ends = np.stack([np.repeat(rows, near.shape[1]), rows[near.ravel()]], axis=1)
     ends = np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1)
     return np.unique(ends, axis=0)
@@ -172,13 +178,16 @@ def _both(rows: np.ndarray, near: np.ndarray) -> np.ndarray:
 def choose_pairs(
     rules: Sequence[PairChoice], collection: Collection, similarity: Callable[[], np.ndarray]
 ) -> np.ndarray:
-    """The pairs of all rules together: (P, 2) int64 with i < j, sorted.
+    """Choose the pairs of all rules together: (P, 2) int64 with i < j, sorted.
 
     Args:
-        similarity: Computes the (N, N) similarities; called only for the rule ``similar``.
+        rules: The rules.
+        collection: The photographs.
+        similarity: Function that computes the (N, N) similarities; called only for the rule
+            ``similar``.
 
     Raises:
-        InputError: The rule ``gps`` without positions, or no pair at all.
+        InputError: There are no positions for the rule ``gps``, or no pair is chosen.
     """
     found = []
     for rule in rules:

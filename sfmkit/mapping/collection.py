@@ -1,4 +1,4 @@
-"""A folder of photographs: names, headers, masks, and the files that were left out."""
+"""Folders of photographs: names, headers, masks and skipped files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..io.images import SUFFIXES
 
 __all__ = ["Collection", "Photograph", "read_collection"]
 
-_CHUNK = 1 << 20  # bytes that are hashed at a time
+_CHUNK = 1 << 20  # bytes per step of the hash
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Photograph:
     """A photograph of a folder.
 
     Attributes:
-        name: Path relative to the folder, with ``/``; the name in tables and databases.
+        name: Path relative to the folder, with ``/``; also its name in tables and databases.
         header: Size and metadata.
-        mask: The file of its mask; None without one.
+        mask: Path of its mask; None without a mask.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Photograph:
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Width and height, upright."""
+        """The upright width and height, pixels."""
         return self.header.size_wh
 
     @property
@@ -56,8 +56,8 @@ class Collection:
 
     Attributes:
         folder: The folder.
-        photographs: At least two, in the natural order of their names.
-        skipped: Name -> reason of the files that were left out.
+        photographs: At least two photographs, in the natural order of their names.
+        skipped: Name -> reason of skipped files.
     """
 
     folder: Path
@@ -73,12 +73,12 @@ class Collection:
         return [photograph.name for photograph in self.photographs]
 
     def ref(self, index: int) -> ImageRef:
-        """The reference to a photograph for tasks; its bytes are hashed when it is first used."""
+        """Return the reference of a photograph for tasks; the first call hashes its bytes."""
         photograph = self.photographs[index]
         return self._ref(photograph.path, photograph.size_wh)
 
     def mask_ref(self, index: int) -> ImageRef | None:
-        """The reference to the mask of a photograph; None without one."""
+        """Return the reference of the mask of a photograph; None without a mask."""
         photograph = self.photographs[index]
         return None if photograph.mask is None else self._ref(photograph.mask, photograph.size_wh)
 
@@ -96,18 +96,18 @@ def read_collection(
 ) -> Collection:
     """Read the headers of all photographs below a folder.
 
-    Hidden files and folders are ignored. Files that cannot be read and copies of another file are
-    left out. Only files of equal size are compared, so few bytes are read.
+    Hidden files and folders are ignored. Unreadable files and copies of another file are skipped.
+    Only files of equal size are compared, so few bytes are read.
 
     Args:
-        folder: It may have subfolders, one for each camera.
+        folder: Folder, possibly with one subfolder per camera.
         masks: Folder of masks: the mask of ``sub/a.jpg`` is ``sub/a.jpg.png`` or ``sub/a.png``.
-            Photographs without a mask are used as a whole.
-        say: Progress.
+            The whole image is used for a photograph without a mask.
+        say: Called with the progress.
 
     Raises:
-        InputError: There is no such folder, it holds fewer than two usable photographs, or none of
-            the photographs has a mask in `masks`.
+        InputError: The folder does not exist or has fewer than two usable photographs, or no
+            photograph has a mask in `masks`.
     """
     root = Path(os.path.abspath(folder))
     if not root.is_dir():
@@ -139,7 +139,7 @@ def read_collection(
 
 
 def _image_files(root: Path) -> list[tuple[str, Path]]:
-    """Name and path of every image file below a folder, in natural order."""
+    """Find name and path of every image file below a folder, in natural order."""
     found = []
     for folder, subfolders, files in os.walk(root):
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
@@ -158,7 +158,7 @@ def _mask_of(name: str, masks: str | os.PathLike | None) -> Path | None:
 
 
 def _copies(photographs: Sequence[Photograph]) -> dict[str, str]:
-    """Name -> reason of every photograph with the same bytes as an earlier one."""
+    """Map the names of photographs that are copies of an earlier one to the reason."""
     by_size: dict[int, list[Photograph]] = defaultdict(list)
     for photograph in photographs:
         by_size[photograph.path.stat().st_size].append(photograph)

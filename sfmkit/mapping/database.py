@@ -1,7 +1,7 @@
-"""A COLMAP database of a matched folder.
+"""COLMAP databases of matched folders.
 
-pycolmap writes the tables of COLMAP. Two tables are added, in which the provenance of every
-keypoint can be looked up; docs/folders.md describes them.
+pycolmap writes the tables of COLMAP. Two additional tables contain the provenance of every
+keypoint; docs/folders.md describes them.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ CREATE TABLE sfmkit_keypoints (
 
 
 def colmap_camera(camera: Camera) -> ColmapCamera:
-    """The camera as COLMAP gets it.
+    """Convert a camera for a COLMAP database.
 
-    Given intrinsics keep their model. Those from EXIF have no distortion, which is hardly ever
-    true; they become SIMPLE_RADIAL with k1 = 0, so that a bundle adjustment can refine it.
+    Given intrinsics keep their model. Intrinsics from EXIF become SIMPLE_RADIAL with k1 = 0: EXIF
+    contains no distortion, but real lenses have some, and bundle adjustment can then refine it.
 
     Raises:
-        InputError: COLMAP has no such model.
+        InputError: COLMAP does not support the camera.
     """
     found = ColmapCamera.of(camera)
     if is_calibrated(camera) or found.model != "PINHOLE":
@@ -60,7 +60,7 @@ def colmap_camera(camera: Camera) -> ColmapCamera:
 
 
 def is_calibrated(camera: Camera) -> bool:
-    """Whether the intrinsics were given, and are therefore held fixed by the mapper."""
+    """Return whether the intrinsics were given; the mapper does not refine them."""
     return not camera.source.startswith(("exif", "guessed"))
 
 
@@ -69,21 +69,21 @@ def write_database(
 ) -> dict[str, int]:
     """Write a COLMAP database, whole or not at all; an existing file is replaced.
 
-    Images have the ids 1, 2, ... in the order of their names. The database holds cameras, rigs and
-    frames of one image each, keypoints without descriptors, the matches of all pairs, the
+    Images have the ids 1, 2, ... in the order of their names. The database contains cameras, rigs
+    and frames of one image each, keypoints without descriptors, the matches of all pairs, the
     two-view geometries with the inliers, and the GPS positions of EXIF as pose priors. Pairs
     without a trustworthy geometry have no inliers.
 
     Args:
-        matched: The pairs.
-        lists: The keypoints of every photograph that occurs in a pair.
-        path: The file.
+        matched: The matched pairs.
+        lists: Keypoints of every photograph that occurs in a pair.
+        path: Path of the file.
 
     Returns:
         Name -> image id.
 
     Raises:
-        InputError: pycolmap is not installed, or a camera has what COLMAP's models lack.
+        InputError: pycolmap is not installed, or COLMAP does not support a camera.
         OutputError: The file cannot be written.
     """
     pycolmap = pycolmap_module()
@@ -163,7 +163,7 @@ def _write_pairs(
 
 
 def _two_view_geometry(pycolmap: Any, entry: Entry, found: RowMatches) -> Any:
-    """The geometry with the matrices of pixels in COLMAP's convention, half a pixel further."""
+    """Make the two-view geometry, with matrices for pixels in the convention of COLMAP."""
     meta = entry.meta
     verdict = Verdict(meta["verdict"])
     trusted = verdict not in (Verdict.TOO_LITTLE, Verdict.AMBIGUOUS)
@@ -214,10 +214,10 @@ def read_provenance(
 
     Returns:
         The operators, and image id -> (M,) rows of the keypoints, (M,) numbers of the operators and
-        (M,) rows in the operators' own features.
+        (M,) rows in the features of the operators.
 
     Raises:
-        InputError: The file is not a database that :func:`write_database` wrote.
+        InputError: The file is not a database of :func:`write_database`.
     """
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db:

@@ -1,7 +1,7 @@
-"""The files of hloc: ``features.h5``, ``matches.h5`` and ``pairs.txt``.
+"""Files of hloc: ``features.h5``, ``matches.h5`` and ``pairs.txt``.
 
-hloc (https://github.com/cvg/Hierarchical-Localization) keeps keypoints with the centre of the
-top-left pixel at (0, 0), as sfmkit does, and adds the half pixel of COLMAP itself.
+In hloc (https://github.com/cvg/Hierarchical-Localization) the centre of the top-left pixel is
+(0, 0), as in sfmkit. hloc adds the half pixel of COLMAP itself.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def h5py_module() -> Any:
 
 
 def check_names(collection: Collection) -> None:
-    """Raise InputError where ``pairs.txt`` cannot hold the name of a photograph."""
+    """Raise InputError if ``pairs.txt`` cannot contain the name of a photograph."""
     spaced = next((name for name in collection.names if name.split() != [name]), None)
     if spaced is not None:
         raise InputError(f"the pairs.txt of hloc cannot hold names with spaces: '{spaced}'")
@@ -57,8 +57,8 @@ def write_hloc(
     hloc's layout, the provenance ``sfmkit_row``, ``sfmkit_operator`` and ``sfmkit_index``.
     ``matches.h5`` has a group per pair, ``NAME1/NAME2`` with ``/`` in the names replaced by ``-``,
     with ``matches0`` (N1,), the row in the second image or -1, and ``matching_scores0``, 1 - ratio.
-    A keypoint with several matches keeps the best one, because the layout has room for one.
-    Matches are those before the geometric verification, which hloc repeats.
+    Only the best match of a keypoint is written, because the layout permits only one. The matches
+    are those before geometric verification, because hloc repeats it.
 
     Raises:
         InputError: h5py is not installed, or a name has a space.
@@ -94,10 +94,10 @@ def write_hloc(
 
 
 def _one_each(found: RowMatches, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) int32 best match of every keypoint, -1 for none, and (n,) float16 scores."""
+    """Return (n,) int32 best match of every keypoint, -1 for none, and (n,) float16 scores."""
     best, score = np.full(n, -1, np.int32), np.zeros(n, np.float16)
     ratio = np.where(np.isfinite(found.ratio), found.ratio, 0.0)
-    order = np.argsort(-ratio, kind="stable")  # the best is written last
+    order = np.argsort(-ratio, kind="stable")  # the best match is written last
     i, j = found.rows[order].T
     best[i], score[i] = j, (1 - ratio[order]).clip(0, 1)
     return best, score

@@ -1,11 +1,11 @@
 """One list of keypoints per photograph, of all operators, with their provenance.
 
-COLMAP and hloc have one list of keypoints per image. If every operator's keypoints had rows of
-their own, a corner that two operators found would become two tracks. Keypoints are therefore
-merged, as in the fusion of a pair: two keypoints of a photograph become one row if their matches
-were merged in at least one pair, that is, if they coincide in both photographs of the pair.
-Merging is greedy: the keypoint with the most inliers absorbs the ones that coincide with it, then
-the best of the rest, so that no chain of neighbours grows together.
+COLMAP and hloc have one list of keypoints per image. With separate rows for each operator, a corner
+found by two operators would become two tracks. Keypoints are therefore merged as in the fusion of a
+pair: two keypoints of a photograph become one row if their matches were merged in at least one
+pair, that is, if they coincide in both photographs of the pair. Merging is greedy: the keypoint
+with the most inliers is merged with the keypoints that coincide with it, then the best of the
+remaining ones. This prevents chains of neighbours from being merged.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class KeypointList:
         row: (M,) int32 row in `xy` of every keypoint of every operator, in the order of the
             operators.
         starts: Operator -> position of its first keypoint in `row`.
-        size_wh: Of the photograph.
+        size_wh: Width and height of the photograph, pixels.
     """
 
     xy: np.ndarray
@@ -42,19 +42,19 @@ class KeypointList:
 
     @cached_property
     def operator(self) -> np.ndarray:
-        """(M,) int32: the number of the operator of every keypoint."""
+        """The (M,) int32 number of the operator of every keypoint."""
         starts = np.array([*self.starts.values(), len(self.row)])
         return np.repeat(np.arange(len(self.starts), dtype=np.int32), np.diff(starts))
 
     @cached_property
     def index(self) -> np.ndarray:
-        """(M,) int32: the row of every keypoint in the features of its operator."""
+        """The (M,) int32 row of every keypoint in the features of its operator."""
         starts = np.array([*self.starts.values()], np.int32)
         return np.arange(len(self.row), dtype=np.int32) - starts[self.operator]
 
     @cached_property
     def masks(self) -> np.ndarray:
-        """(N,) int64: a bit for each operator that has a keypoint in the row."""
+        """The (N,) int64 masks with one bit per operator that has a keypoint in the row."""
         masks = np.zeros(len(self.xy), np.int64)
         np.bitwise_or.at(masks, self.row, np.left_shift(1, self.operator.astype(np.int64)))
         return masks
@@ -62,11 +62,11 @@ class KeypointList:
 
 @dataclass(frozen=True, eq=False)
 class RowMatches:
-    """The matches of a pair as rows of the keypoint lists, each once.
+    """The distinct matches of a pair as rows of the keypoint lists.
 
     Attributes:
-        rows: (M, 2) int64.
-        ratio: (M,) float32, the lowest of those that were merged.
+        rows: (M, 2) int64 rows in both lists.
+        ratio: (M,) float32, the smallest ratio of the merged matches.
         inlier: (M,) bool.
     """
 
@@ -76,7 +76,7 @@ class RowMatches:
 
 
 def list_all_keypoints(matched: MatchedFolder) -> dict[int, KeypointList]:
-    """The keypoint lists of all photographs with at least one pair that did not fail."""
+    """Make the keypoint lists of all photographs with at least one pair that did not fail."""
     used = {
         int(photograph)
         for row, pair in enumerate(matched.plan.pairs)
@@ -110,7 +110,7 @@ def list_keypoints(matched: MatchedFolder, photograph: int) -> KeypointList:
 
 
 def _pairs_of(matched: MatchedFolder, photograph: int) -> Iterator[tuple[Entry, int]]:
-    """The results of the pairs of a photograph, and whether it is the first or second of each."""
+    """Yield the results of the pairs of a photograph, and its position (0 or 1) in each pair."""
     for row in np.flatnonzero((matched.plan.pairs == photograph).any(1)):
         entry = matched.geometry(int(row))
         if isinstance(entry, Entry):
@@ -118,13 +118,13 @@ def _pairs_of(matched: MatchedFolder, photograph: int) -> Iterator[tuple[Entry, 
 
 
 def raw_rows(entry: Entry, side: int, starts: Mapping[str, int]) -> np.ndarray:
-    """(M,) int64 positions of the matched keypoints in :attr:`KeypointList.row`."""
+    """Return (M,) int64 positions of the matched keypoints in :attr:`KeypointList.row`."""
     first = np.array([*starts.values()], np.int64)
     return first[entry.arrays["operator"]] + entry.arrays[f"index{side + 1}"]
 
 
 def match_rows(entry: Entry, first: KeypointList, second: KeypointList) -> RowMatches:
-    """The matches of a pair as rows of two keypoint lists; an inlier among equals wins."""
+    """Convert the matches of a pair to rows of two keypoint lists; inliers are preferred."""
     a = entry.arrays
     ends = np.stack(
         [

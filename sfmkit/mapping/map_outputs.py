@@ -1,4 +1,4 @@
-"""A matched folder to a model of its cameras and points, as a folder of files."""
+"""Models of matched folders: cameras and points, and their files."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class Mapped:
     """A model of a matched folder.
 
     Attributes:
-        matched: The pairs that it was made from.
-        options: Of the mapper.
-        model: ``pycolmap.Reconstruction``; None where the mapper found none.
-        lists: The keypoints of the database.
-        points: The points with their operators.
-        seconds: Per step.
+        matched: The matched pairs.
+        options: Options of the mapper.
+        model: ``pycolmap.Reconstruction``; None if the mapper found no model.
+        lists: Keypoints of the database.
+        points: Points with their operators.
+        seconds: Duration of each step.
     """
 
     matched: MatchedFolder
@@ -73,13 +73,13 @@ class Mapped:
 
 
 def refined_camera(camera: Any) -> Camera:
-    """The camera of a ``pycolmap.Camera``."""
+    """Convert a ``pycolmap.Camera`` to a camera of sfmkit."""
     size = (camera.width, camera.height)
     return ColmapCamera(camera.model_name, size, tuple(map(float, camera.params))).camera()
 
 
 def check_cameras(plan: FolderPlan) -> None:
-    """Raise InputError where COLMAP has no model for a camera."""
+    """Raise InputError if COLMAP does not support a camera."""
     for camera in plan.cameras.cameras:
         colmap_camera(camera)
 
@@ -92,16 +92,16 @@ def map_matched(
 ) -> Mapped:
     """Write the database of a matched folder and map its photographs.
 
-    Calibrated cameras are held fixed; those from EXIF or a guess are refined.
+    Given intrinsics are fixed; intrinsics from EXIF or a guess are refined.
 
     Args:
-        matched: The pairs.
-        database: The file to write.
-        options: Of the mapper.
-        say: Called before every step.
+        matched: The matched pairs.
+        database: Path of the database to write.
+        options: Options of the mapper.
+        say: Called with the name of every step before it starts.
 
     Raises:
-        InputError: pycolmap is not installed, or a camera has what COLMAP's models lack.
+        InputError: pycolmap is not installed, or COLMAP does not support a camera.
         OutputError: The database cannot be written.
     """
     options = options or MapOptions()
@@ -138,14 +138,19 @@ def write_map(
     """Map a matched folder and write all files, whole or not at all; see docs/folders.md.
 
     Args:
-        seconds: Of the work before.
-        command: For the page.
+        matched: The matched pairs.
+        out: Folder to write.
+        options: Options of the mapper.
+        overwrite: Whether to replace an existing folder.
+        seconds: Durations of earlier steps.
+        command: Command line, shown on the page.
+        say: Called with the name of every step before it starts.
 
     Returns:
         The content of ``report.json``.
 
     Raises:
-        InputError: pycolmap is not installed, or a camera has what COLMAP's models lack.
+        InputError: pycolmap is not installed, or COLMAP does not support a camera.
         OutputError: The folder exists and `overwrite` is not set, or cannot be written.
     """
     with staged_folder(out, overwrite) as staged:
@@ -181,7 +186,7 @@ def _write_model(mapped: Mapped, staged: Path, out: Path) -> None:
 
 
 def _upright_files(mapped: Mapped, staged: Path, out: Path) -> dict[str, Path]:
-    """Name -> file of every photograph; those that are stored turned are copied upright."""
+    """Map names to files; photographs that are not stored upright are copied upright."""
     files = {}
     for photograph in mapped.matched.plan.collection.photographs:
         files[photograph.name] = photograph.path

@@ -1,4 +1,4 @@
-"""The page of a model: ``report.html``."""
+"""HTML page of a model: ``report.html``."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def write_map_page(report: dict[str, Any], folder: Path, command: str = "") -> N
 
     Args:
         report: The content of ``report.json``.
-        folder: Where ``model.png`` and ``graph.png`` are, and the page is written.
-        command: The command that made the model.
+        folder: Folder of ``model.png`` and ``graph.png``, to which the page is written.
+        command: Command that made the model.
     """
     model = report["model"]
     sections = [("Model", _model(report, folder))]
@@ -61,7 +61,7 @@ def _summary(report: dict[str, Any]) -> str:
         )
     return (
         f"{model['registered']:,} of {model['photographs']:,} photographs were registered, with "
-        f"{model['points']:,} points that {model['track_length']:.1f} photographs show on average; "
+        f"{model['points']:,} points in {model['track_length']:.1f} photographs each on average; "
         f"their mean reprojection error is {model['reprojection_error_px']:.2f} px."
     )
 

@@ -1,4 +1,4 @@
-"""The points of a model with the operators that found them, and statistics per operator."""
+"""Points of a model with the operators that found them, and statistics per operator."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class MappedPoints:
         error: (P,) float64 mean reprojection error, pixels.
         point: (T,) int64 row of the point of every observation.
         image, row: (T,) int64 photograph, and row in its keypoint list, of every observation.
-        masks: (P,) int64; a bit for each operator that found the point.
+        masks: (P,) int64, one bit per operator that found the point.
         main: (P,) int64 number of the operator with the most keypoints in the track.
-        ids: (P,) int64 of the points in the model.
+        ids: (P,) int64 ids of the points in the model.
     """
 
     xyz: np.ndarray
@@ -47,21 +47,21 @@ class MappedPoints:
 
     @property
     def lengths(self) -> np.ndarray:
-        """(P,) int64: the number of observations of every point."""
+        """The (P,) int64 number of observations of every point."""
         return np.bincount(self.point, minlength=len(self.xyz))
 
 
 def map_points(model: Any, lists: Mapping[int, KeypointList], n_operators: int) -> MappedPoints:
-    """Read the points of a model and recover which operators found them.
+    """Read the points of a model, and determine which operators found them.
 
     An operator found a point if it has a keypoint in at least two observations of the track,
-    because one alone was not matched.
+    because a single keypoint was not matched.
 
     Args:
-        model: ``pycolmap.Reconstruction`` of a database of sfmkit, whose image ids are the
+        model: ``pycolmap.Reconstruction`` from a database of sfmkit; its image ids are the
             positions of the photographs plus one.
-        lists: The keypoints of the database.
-        n_operators: Their number.
+        lists: Keypoints of the database.
+        n_operators: Number of operators.
     """
     points = list(model.points3D.items())
     lengths = [p.track.length() for _, p in points]
@@ -78,7 +78,7 @@ def map_points(model: Any, lists: Mapping[int, KeypointList], n_operators: int) 
         counts[:, k] = np.bincount(point, (seen >> k) & 1, minlength=len(points))
     bits = np.left_shift(1, np.arange(n_operators, dtype=np.int64))
     masks = ((counts >= 2) * bits).sum(1)
-    lone = masks == 0  # what the mapper left of a track
+    lone = masks == 0  # tracks that the mapper has shortened
     masks[lone] = ((counts[lone] >= 1) * bits).sum(1)
     return MappedPoints(
         np.array([p.xyz for _, p in points]).reshape(-1, 3),
@@ -95,9 +95,9 @@ def map_points(model: Any, lists: Mapping[int, KeypointList], n_operators: int) 
 def colour_points(
     points: MappedPoints, collection: Collection, lists: Mapping[int, KeypointList]
 ) -> np.ndarray:
-    """The mean colour of the pixels that a point is seen at: (P, 3) uint8.
+    """Compute the mean colours of the observations of every point: (P, 3) uint8.
 
-    The photographs are read upright, as they were searched; one at a time is in memory.
+    The photographs are read upright, one at a time.
     """
     sums, counts = np.zeros((len(points), 3)), np.zeros(len(points))
     for index in np.unique(points.image):
@@ -114,7 +114,7 @@ def colour_points(
 
 
 def cloud_of(points: MappedPoints, rgb: np.ndarray, operators: Sequence[str]) -> PointCloud:
-    """The points as a cloud for :func:`sfmkit.io.ply.write_ply`, in the world of the model."""
+    """Make a cloud for :func:`sfmkit.io.ply.write_ply`, in the world of the model."""
     n = len(points)
     return PointCloud(
         torch.from_numpy(points.xyz),
@@ -130,15 +130,15 @@ def cloud_of(points: MappedPoints, rgb: np.ndarray, operators: Sequence[str]) ->
 
 @dataclass(frozen=True)
 class OperatorTracks:
-    """The tracks of one operator, or of all (``multi``).
+    """Statistics of the tracks of one operator, or of all (``multi``).
 
     Attributes:
-        points: That it found, alone or with others.
-        alone: That no other operator found.
+        points: Number of points that it found, alone or with others.
+        alone: Number of points that no other operator found.
         share: `points` over all points.
         track_length: Mean number of photographs per point.
         error_px: Mean reprojection error, pixels.
-        error_alone_px: The same over `alone`; NaN where there is none.
+        error_alone_px: The same for the points of `alone`; NaN without such points.
     """
 
     points: int
@@ -149,12 +149,12 @@ class OperatorTracks:
     error_alone_px: float
 
     def as_dict(self) -> dict[str, Any]:
-        """The statistics as plain data, without NaN."""
+        """Return the statistics as JSON values, without NaN."""
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
 
 def track_statistics(points: MappedPoints, operators: Sequence[str]) -> dict[str, OperatorTracks]:
-    """The statistics of every operator and, last, of all."""
+    """Compute the statistics of every operator and, last, of all together."""
     lengths = points.lengths
 
     def line(mine: np.ndarray, alone: np.ndarray) -> OperatorTracks:

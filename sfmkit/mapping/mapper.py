@@ -1,4 +1,4 @@
-"""Cameras and points of many photographs, by COLMAP's mappers on a database of sfmkit."""
+"""COLMAP's mappers on a database of sfmkit."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ __all__ = ["INIT_ANGLES_DEG", "MapOptions", "Mapper", "run_mapper"]
 
 Mapper = Literal["incremental", "global"]
 
-# Least angle between the rays of the first pair: COLMAP's own, then less, for photographs that
-# were taken close together.
+# Least angle between the rays of the first pair: COLMAP's default, then smaller angles for
+# photographs that were taken close together.
 INIT_ANGLES_DEG = (16.0, 4.0, 1.5)
 
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How photographs are mapped.
+    """Options of the mapper.
 
     Attributes:
         mapper: ``incremental`` or ``global``.
-        two_view_points: Keep points that only two photographs show. COLMAP leaves them out, and
-            they are the majority; a dense method does without them.
-        seed: Of the mapper.
-        threads: Of the mapper; -1 for all. With several threads the bundle adjustment adds in an
-            order that varies, and so does the model from run to run.
+        two_view_points: Whether to keep points that are seen in only two photographs. They are the
+            majority; COLMAP drops them by default, and dense methods do not need them.
+        seed: Seed of the mapper.
+        threads: Number of threads of the mapper; -1 for all. With several threads, the order of the
+            sums in the bundle adjustment varies, and so does the model.
     """
 
     mapper: Mapper = "incremental"
@@ -56,14 +56,14 @@ def run_mapper(
     """Map the photographs of a database.
 
     Args:
-        database: As :func:`sfmkit.mapping.database.write_database` writes it.
-        images: The folder of the photographs.
+        database: Path of a database of :func:`sfmkit.mapping.database.write_database`.
+        images: Folder of the photographs.
         work: An existing folder for intermediate results.
         options: See :class:`MapOptions`.
         fixed_cameras: Ids of cameras whose intrinsics are not refined.
 
     Returns:
-        The ``pycolmap.Reconstruction`` with the most photographs; None where there is none.
+        The ``pycolmap.Reconstruction`` with the most photographs; None without a model.
 
     Raises:
         InputError: pycolmap is not installed.
@@ -76,7 +76,7 @@ def run_mapper(
         settings.random_seed, settings.num_threads = options.seed, options.threads
         settings.mapper.retriangulation.ignore_two_view_tracks = not options.two_view_points
         if fixed_cameras:
-            # The global mapper has no list of fixed cameras.
+            # The global mapper does not support a list of fixed cameras.
             adjustment = settings.mapper.bundle_adjustment
             adjustment.refine_focal_length = adjustment.refine_extra_params = False
         models = pycolmap.global_mapping(database, images, work, settings)
@@ -105,7 +105,7 @@ def _incremental(
 
 
 def poses_of(model: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Name -> R (3, 3) and t (3,) of every registered photograph, ``X_camera = R X_world + t``."""
+    """Return name -> R, t of the registered photographs, ``X_camera = R X_world + t``."""
     return {
         image.name: (pose.rotation.matrix(), np.asarray(pose.translation))
         for image in model.images.values()

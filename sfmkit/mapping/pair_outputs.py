@@ -1,4 +1,4 @@
-"""The files of a matched folder: the table, a picture of the graph and a summary."""
+"""Files of a matched folder: table, picture of the graph, and summary."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _picture(matched: MatchedFolder) -> Any:
 
 
 def describe_pairs(matched: MatchedFolder) -> dict[str, Any]:
-    """What was done with a folder, as JSON values."""
+    """Summarise a matched folder as JSON values."""
     plan = matched.plan
     return {
         "folder": str(plan.collection.folder),
@@ -75,8 +75,10 @@ def describe_pairs(matched: MatchedFolder) -> dict[str, Any]:
 
 
 def connected_parts(matched: MatchedFolder) -> list[int]:
-    """The sizes of the parts of the graph whose photographs are connected by a geometry, largest
-    first; a photograph without any is a part of its own."""
+    """Return the sizes of the connected components of the graph, the largest first.
+
+    Photographs are connected by a geometry; a photograph without one is a component.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

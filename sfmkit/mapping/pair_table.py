@@ -1,4 +1,4 @@
-"""The table of the pairs of a folder; docs/folders.md describes its columns."""
+"""Table of the pairs of a folder; docs/folders.md describes its columns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POSE = (*(f"R{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), "t1", "t2", "t3")
 
 
 def pair_schema(operators: Sequence[str]) -> pa.Schema:
-    """The columns of the table. Every cell of the CSV file is one number or one text."""
+    """Return the columns of the table. Every cell of the CSV file is one number or one text."""
     columns = [
         ("image1", _TEXT),
         ("image2", _TEXT),
@@ -46,9 +46,9 @@ def make_pair_row(names: tuple[str, str], result: Mapping[str, Any] | str) -> di
     """Make the row of a pair.
 
     Args:
-        names: Of the two photographs.
-        result: The ``meta`` of :func:`sfmkit.ablation.geometries.make_geometry`, or the reason why
-            there is none.
+        names: Names of the two photographs.
+        result: ``meta`` of :func:`sfmkit.ablation.geometries.make_geometry`, or the reason of the
+            failure.
     """
     row: dict[str, Any] = {"image1": names[0], "image2": names[1]}
     if isinstance(result, str):
@@ -75,7 +75,7 @@ def make_pair_row(names: tuple[str, str], result: Mapping[str, Any] | str) -> di
 
 
 def pair_table_of(rows: Iterable[Mapping[str, Any]], operators: Sequence[str]) -> pa.Table:
-    """The rows as a table; what a row lacks is null."""
+    """Convert rows to a table; missing values are null."""
     schema = pair_schema(operators)
     return pa.Table.from_pylist([dict.fromkeys(schema.names) | dict(row) for row in rows], schema)
 

@@ -1,4 +1,4 @@
-"""The work on a folder, laid out: its pairs, and the recipe of each of them."""
+"""Plan of the work on a folder: its pairs, and the recipe for each pair."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from .shared_cameras import SharedCameras
 
 __all__ = ["FolderPlan", "Recipe", "make_recipe"]
 
-_NO_IMAGE = ""  # digest of a reference that only carries the size
+_NO_IMAGE = ""  # digest of a reference that contains only the size
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How every photograph and every pair is treated.
+    """Operators, options and plug-ins for all photographs and pairs.
 
     Attributes:
-        operators: Their order is that of the bits of masks.
-        options: Of all stages.
-        plugins: By kind and name.
-        descriptor: The operator whose features decide how similar photographs are.
-        seed: Of the robust estimation.
+        operators: Operators in the order of the bits of masks.
+        options: Options of all stages.
+        plugins: Plug-ins by kind and name.
+        descriptor: Operator whose features determine the similarity of photographs.
+        seed: Seed of the robust estimation.
     """
 
     operators: tuple[str, ...]
@@ -50,7 +50,7 @@ class Recipe:
 
     @property
     def foreign_plugins(self) -> tuple[PlugIn, ...]:
-        """The plug-ins that are not part of sfmkit, which workers have to load."""
+        """The plug-ins outside sfmkit, which workers have to load."""
         return tuple(p for p in self.plugins.values() if not REGISTRIES[p.kind].is_built_in(p.name))
 
     def detection(self, image: ImageRef, operator: str) -> DetectTask:
@@ -60,7 +60,7 @@ class Recipe:
         return DetectTask(image, setting, self.plugins[OPERATOR, operator].code)
 
     def overview(self, image: ImageRef) -> DetectTask:
-        """The detection of the few features by which photographs are compared."""
+        """Make the task that detects few features for the comparison of photographs."""
         setting = Setting(self.descriptor, "default", BUDGET, MAX_SIZE)
         return DetectTask(image, setting, self.plugins[OPERATOR, self.descriptor].code)
 
@@ -72,7 +72,7 @@ class Recipe:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The recipe for reports."""
+        """Return the recipe as JSON values for reports."""
         from ..options import as_plain
 
         return {
@@ -85,13 +85,13 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class FolderPlan:
-    """The pairs of a folder and how they are treated.
+    """The pairs of a folder with cameras and recipe.
 
     Attributes:
         collection: The photographs.
-        cameras: Of the photographs.
-        recipe: How they are treated.
-        rules: The rules that chose the pairs, as text.
+        cameras: Cameras of the photographs.
+        recipe: Operators, options and plug-ins.
+        rules: Rules by which the pairs were chosen, as text.
         pairs: (P, 2) int64 indices of photographs, i < j.
     """
 
@@ -105,7 +105,7 @@ class FolderPlan:
         return len(self.pairs)
 
     def task(self, row: int) -> PairTask:
-        """The recipe of a pair. The first use of a photograph hashes its bytes."""
+        """Make the task of a pair. The first use of a photograph hashes its bytes."""
         i, j = (int(k) for k in self.pairs[row])
         first, second = self.collection.ref(i), self.collection.ref(j)
         masks = (self.collection.mask_ref(i), self.collection.mask_ref(j))
@@ -131,7 +131,7 @@ class FolderPlan:
         )
 
     def detection(self, photograph: int, operator: str) -> DetectTask:
-        """The detection of an operator in a photograph."""
+        """Make the task that detects the features of an operator in a photograph."""
         return self.recipe.detection(self.collection.ref(photograph), operator)
 
     @cached_property
@@ -140,7 +140,7 @@ class FolderPlan:
         return np.unique(self.pairs)
 
     def seconds(self) -> float:
-        """Rough cost of everything on one thread; no file is read for it."""
+        """Estimate the duration of all tasks on one thread, without reading files."""
         bare = [ImageRef(_NO_IMAGE, "", p.size_wh) for p in self.collection.photographs]
         total = sum(
             cost(self.recipe.detection(bare[k], name))
@@ -156,7 +156,7 @@ class FolderPlan:
         return total
 
     def part(self, shard: Shard | None) -> FolderPlan:
-        """The pairs of a shard, see :func:`sfmkit._utils.sharding.part_bounds`."""
+        """Return the plan of a shard, see :func:`sfmkit._utils.sharding.part_bounds`."""
         return replace(self, pairs=self.pairs[part_bounds(len(self), shard)])
 
 
@@ -172,12 +172,13 @@ def make_recipe(
 
     Args:
         operators, matchers: Names or import paths, as for :func:`sfmkit.reconstruct`.
-        options: Of all stages.
-        descriptor: The operator by which photographs are compared.
-        seed: Of the robust estimation.
+        options: Options of all stages.
+        descriptor: Operator whose features determine the similarity of photographs.
+        seed: Seed of the robust estimation.
 
     Raises:
-        InputError: One of them is unknown or cannot be used, or `seed` is out of range.
+        InputError: An operator, matcher or estimator is unknown or cannot be used, or `seed` is out
+            of range.
     """
     names = choose_operators(operators)
     if len(names) > MAX_OPERATORS:
@@ -205,5 +206,5 @@ def make_recipe(
 
 
 def worker_count(workers: int | None) -> int:
-    """The number of local processes: as given, or one per core."""
+    """Return the number of local processes: as given, or one per core."""
     return workers or os.cpu_count() or 1

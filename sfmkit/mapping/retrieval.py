@@ -1,4 +1,4 @@
-"""The similarity of photographs by a global descriptor that needs no trained network.
+"""Similarity of photographs by a global descriptor without a trained network.
 
 VLAD: the residuals of local descriptors to the nearest of some centres, summed per centre. The
 centres are learned from the photographs themselves. Jégou, Douze, Schmid & Pérez, "Aggregating
@@ -18,21 +18,22 @@ from ..types import Features
 
 __all__ = ["BUDGET", "MAX_SIZE", "similarities", "vlad"]
 
-BUDGET, MAX_SIZE = 500, 480  # keypoints per photograph, and its longest side in pixels
+BUDGET, MAX_SIZE = 500, 480  # keypoints per photograph, and its longest side, pixels
 _CENTRES = 64  # as in the papers
-_SAMPLE = 20_000  # descriptors that the centres are learned from
+_SAMPLE = 20_000  # descriptors from which the centres are learned
 
 
 def similarities(features_of: Callable[[int], Features], n: int, seed: int = 0) -> np.ndarray:
-    """Compute how similar n photographs are.
+    """Compute the similarities of n photographs.
 
-    Only the global descriptors are kept, 32 kB per photograph with descriptors of 128 numbers.
+    Only the global descriptors are kept in memory: 32 kB per photograph for descriptors of 128
+    numbers.
 
     Args:
-        features_of: Returns the features of a photograph, with real-valued descriptors; called
-            twice for each photograph.
+        features_of: Function that returns the features of a photograph, with real-valued
+            descriptors; called twice per photograph.
         n: Number of photographs.
-        seed: Of the sample and of the clustering.
+        seed: Seed of the sample and of the clustering.
 
     Returns:
         (n, n) float32 cosine similarities; 0 for a photograph without features.
@@ -58,7 +59,7 @@ def similarities(features_of: Callable[[int], Features], n: int, seed: int = 0) 
 
 
 def root_descriptors(features: Features) -> np.ndarray:
-    """The signed square roots of L1-normalised descriptors: (N, D) float32.
+    """Compute signed square roots of L1-normalised descriptors: (N, D) float32.
 
     The Euclidean distance of such descriptors is the Hellinger distance; Arandjelović & Zisserman,
     "Three things everyone should know to improve object retrieval", CVPR 2012.
@@ -80,8 +81,8 @@ def vlad(descriptors: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Describe an image by the residuals of its descriptors to centres.
 
     Args:
-        descriptors: (N, D).
-        centres: (K, D).
+        descriptors: (N, D) descriptors.
+        centres: (K, D) centres.
 
     Returns:
         (K D,) float32 of unit length; zeros where N is 0.

@@ -1,4 +1,4 @@
-"""The cameras of a folder: photographs of one camera share one set of intrinsics."""
+"""Cameras of a folder: photographs of one camera share their intrinsics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .collection import Collection, Photograph
 
 __all__ = ["SharedCameras", "choose_shared_cameras"]
 
-EVERYWHERE = ""  # the subfolder of intrinsics that hold for all photographs
+EVERYWHERE = ""  # key of intrinsics for all photographs
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class SharedCameras:
     """The cameras of a collection.
 
     Attributes:
-        cameras: The distinct ones.
-        of_photograph: Per photograph, the index of its camera.
-        warnings: Doubts about the cameras, each with the photographs that it concerns.
+        cameras: The distinct cameras.
+        of_photograph: Index of the camera of each photograph.
+        warnings: Warnings about the cameras, each with the affected photographs.
     """
 
     cameras: tuple[Camera, ...]
@@ -45,13 +45,13 @@ def choose_shared_cameras(
 
     Args:
         collection: The photographs.
-        intrinsics: What :func:`sfmkit.io.intrinsics.parse_intrinsics` takes, for all photographs;
-            or subfolder -> such a text, where the empty name stands for the others. Without it
-            EXIF supplies the focal length.
+        intrinsics: Text for :func:`sfmkit.io.intrinsics.parse_intrinsics` for all photographs; or a
+            mapping subfolder -> text, in which the empty name stands for all other subfolders.
+            Without it, the focal length is read from EXIF.
 
     Raises:
         InputError: A subfolder does not exist.
-        CameraError: Intrinsics that do not fit a photograph.
+        CameraError: The intrinsics do not fit a photograph.
     """
     given = {EVERYWHERE: intrinsics} if isinstance(intrinsics, str) else dict(intrinsics or {})
     subfolders = {p.subfolder for p in collection.photographs}
@@ -91,13 +91,13 @@ def _inside(folder: str, name: str) -> bool:
 
 
 def _text_for(subfolder: str, given: Mapping[str, str]) -> str | None:
-    """The intrinsics of the innermost subfolder for which some are given."""
+    """Return the intrinsics of the innermost subfolder for which they are given."""
     fitting = [name for name in given if name == EVERYWHERE or _inside(subfolder, name)]
     return given[max(fitting, key=len)] if fitting else None
 
 
 def _origin(photograph: Photograph, text: str | None) -> Hashable:
-    """What photographs of one camera have in common."""
+    """Return a key that is equal for photographs of one camera."""
     exif = photograph.header.exif
     layout = (photograph.size_wh, photograph.header.orientation)
     if text is not None:

@@ -1,4 +1,4 @@
-"""``transforms.json``, which nerfstudio and programs for Gaussian splatting read."""
+"""``transforms.json`` for nerfstudio and Gaussian splatting."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 def make_transforms(
     views: Sequence[MapView], files: Mapping[str, Path], folder: Path, cloud: str
 ) -> dict[str, Any]:
-    """The cameras in the layout of nerfstudio.
+    """Convert cameras to the layout of nerfstudio.
 
     The world is that of the model and of `cloud`. Cameras look along -z with y up, as in OpenGL.
-    Pixel coordinates have the centre of the top-left pixel at (0.5, 0.5), as in COLMAP. Distortion
-    beyond ``k1 k2 p1 p2 k3`` is left out, because the layout has no place for it.
+    The centre of the top-left pixel is (0.5, 0.5), as in COLMAP. Distortion coefficients other than
+    ``k1 k2 p1 p2 k3`` are omitted, because the layout does not support them.
 
     Args:
         views: The registered photographs.
-        files: Name -> file with upright pixels.
-        folder: Where ``transforms.json`` will lie; paths are relative to it.
-        cloud: The name of the cloud in that folder.
+        files: Name -> path of a file with upright pixels.
+        folder: Folder of ``transforms.json``; paths are relative to it.
+        cloud: Name of the cloud in this folder.
     """
     frames = []
     for view in views:
