@@ -5,8 +5,10 @@ The patterns are phrases that were replaced by plain technical English, and thei
 
 from __future__ import annotations
 
+import ast
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -47,6 +49,14 @@ PATTERNS = {
 }
 
 
+#: packages in which the docstring of every function starts with an imperative sentence on one line
+IMPERATIVE = ("_utils", "features", "geometry", "matching", "pipeline", "teaching", "types")
+NOT_VERBS = {
+    *("A", "An", "The", "Every", "All", "One", "Those", "Its", "Of", "With", "For"),
+    *("What", "Whether", "Where", "Which", "How"),
+}
+
+
 def files() -> list[Path]:
     found = [p for folder in FOLDERS for p in (ROOT / folder).rglob("*") if p.is_file()]
     found += [p for p in ROOT.iterdir() if p.is_file() and p.name not in ("LICENSE", ".git")]
@@ -82,5 +92,28 @@ def test_a_replaced_phrase_does_not_occur(texts, pattern, example):
         f"{name}: ...{text[max(0, m.start() - 60) : m.end() + 40]}..."
         for name, text in texts.items()
         for m in re.finditer(pattern, text, re.IGNORECASE)
+    ]
+    assert not found, "\n".join(found)
+
+
+def functions(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield the place and the docstring of every function that is not a property."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef):
+            decorators = {getattr(d, "id", "") for d in node.decorator_list}
+            text = ast.get_docstring(node)
+            if text and not decorators & {"property", "cached_property"}:
+                yield f"{path.relative_to(ROOT)}:{node.lineno}", text
+
+
+@pytest.mark.parametrize("package", IMPERATIVE)
+def test_docstrings_of_functions_start_with_an_imperative_sentence_on_one_line(package):
+    found = [
+        f"{place}: {text.splitlines()[0]}"
+        for path in sorted((ROOT / "sfmkit" / package).rglob("*.py"))
+        for place, text in functions(path)
+        if "\n" in text.partition("\n\n")[0]
+        or not text.split()[0].isalpha()
+        or text.split()[0] in NOT_VERBS
     ]
     assert not found, "\n".join(found)

@@ -5,9 +5,9 @@ essential matrix is ``E = D2 M D1``, where ``M = K2^T F K1`` and ``D = diag(s, s
 equal singular values, which is two equations:
 
 - both focal lengths unknown: the equations determine them (Bougnoux);
-- one unknown factor: a real F does not meet both, and the factor is taken that makes the two
-  singular values as equal as possible. For ``E = D2 M D1`` their squares have the sum
-  ``a = |E|^2`` and the product ``b = |cof E|^2``, both polynomials in ``w = s^2``; the ratio
+- one unknown factor: an F from measurements does not satisfy both, and the factor is chosen that
+  makes the two singular values as equal as possible. For ``E = D2 M D1``, their squares have the
+  sum ``a = |E|^2`` and the product ``b = |cof E|^2``, both polynomials in ``w = s^2``; the ratio
   ``4 b / a^2`` is 1 for equal values, and its stationary points are the roots of a cubic (one
   factor shared by both cameras) or of a linear equation (one camera unknown).
 
@@ -125,7 +125,7 @@ def two_focals(M: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _bougnoux(M: Tensor) -> tuple[Tensor, Tensor]:
-    """The factor of the camera whose points M takes."""
+    """Compute the factor of the camera to whose points M is applied."""
     e, _ = smallest_singular_vector(M.mT)
     x, y, _ = e.unbind(-1)
     row = y[..., None] * M[..., 0, :] - x[..., None] * M[..., 1, :]
@@ -133,7 +133,7 @@ def _bougnoux(M: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _root(numerator: Tensor, denominator: Tensor) -> tuple[Tensor, Tensor]:
-    """The square root of a quotient where that is finite and positive, and whether it is."""
+    """Compute the square root of a quotient, and whether it is finite and positive."""
     w = numerator / torch.where(denominator != 0, denominator, 1.0)
     valid = (denominator != 0) & torch.isfinite(w) & (w > 0)
     return torch.where(valid, w, 1.0).sqrt(), valid
@@ -146,13 +146,16 @@ def _scaled(M: Tensor) -> Tensor:
 
 
 def _upper_and_last(A: Tensor) -> tuple[Tensor, Tensor]:
-    """The squared norms of the first two rows and of the last row."""
+    """Compute the squared norms of the first two rows and of the last row."""
     square = A.square().sum(-1)
     return square[..., 0] + square[..., 1], square[..., 2]
 
 
 def _invariants(M: Tensor) -> tuple[tuple[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]:
-    """Coefficients in w of ``|D M D|^2`` and of ``|cof(D M D)|^2 / w^2``, highest power first."""
+    """Compute the coefficients in w of ``|D M D|^2`` and ``|cof(D M D)|^2 / w^2``.
+
+    The highest power comes first.
+    """
     M = _scaled(M)
     C = kernels.cofactors(M)
 

@@ -179,19 +179,19 @@ class _FocalObjective(NamedTuple):
 
 
 def _inverse_factors(log_scale: Tensor) -> Tensor:
-    """(*B, 2, 3): the diagonals of D1^-1 and D2^-1."""
+    """Return the diagonals of D1^-1 and D2^-1, (*B, 2, 3)."""
     small = (-log_scale).exp()
     return torch.stack((small, small, torch.ones_like(small)), -1)
 
 
 def _matrix(R: Tensor, t: Tensor, log_scale: Tensor) -> Tensor:
-    """``D2^-1 [t]x R D1^-1``, (*B, 3, 3)."""
+    """Return ``D2^-1 [t]x R D1^-1``, (*B, 3, 3)."""
     D = _inverse_factors(log_scale)
     return D[..., 1, :, None] * (hat(t) @ R) * D[..., 0, None, :]
 
 
 def _tangent(R: Tensor, t: Tensor, log_scale: Tensor, unknowns: Tensor) -> Tensor:
-    """Derivative (*B, 9, 5 + k) of the matrix with respect to pose and unknown factors."""
+    """Return the derivative (*B, 9, 5 + k) of the matrix with respect to pose and factors."""
     D = _inverse_factors(log_scale)
     left, right = D[..., 1, None, :, None], D[..., 0, None, None, :]
     eye = torch.eye(3, dtype=R.dtype, device=R.device)

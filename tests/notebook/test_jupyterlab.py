@@ -289,7 +289,7 @@ def test_a_click_on_a_match_shows_its_point_and_ray(epipolar):
 
 
 def test_the_explorable_two_cameras_draws_the_line_of_its_pose(epipolar, bundled):
-    """The widget computes in the browser; its line is compared with that of its own pose."""
+    """The widget runs in the browser; its line is compared with that of its own pose."""
     page = epipolar.page
     explorable = page.locator(".sfmkit-explorable")
     first, second = (explorable.locator("svg.photograph").nth(k) for k in (0, 1))

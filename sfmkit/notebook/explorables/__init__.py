@@ -1,4 +1,4 @@
-"""Interactive figures that compute in the browser, with and without a kernel."""
+"""Interactive figures that run in the browser, with or without a kernel."""
 
 from .explorable import Explorable
 from .homography_or_depth import HomographyOrDepth

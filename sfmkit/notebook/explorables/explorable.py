@@ -1,4 +1,4 @@
-"""The base of the explorables: widgets that compute in the browser, with or without a kernel."""
+"""The base class of the explorables, widgets that run in the browser without a kernel."""
 
 from __future__ import annotations
 
