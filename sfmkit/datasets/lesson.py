@@ -14,7 +14,8 @@ from ..io.images import read_image
 from ..io.intrinsics import parse_intrinsics
 from ..types import Camera
 from .pair import Pair
-from .synthetic import demo_pair
+from .rendering.scenes import Scene, look
+from .synthetic import demo_pair, named_scene, render
 
 
 def lesson_pair(longest: int = 1000) -> Pair:
@@ -37,6 +38,57 @@ def lesson_pair(longest: int = 1000) -> Pair:
         for source, camera in ((pair.image1, pair.camera1), (pair.image2, pair.camera2))
     )
     return replace(pair, image1=image1, image2=image2, camera1=camera1, camera2=camera2)
+
+
+def lesson_hard_pair(size_wh: tuple[int, int] = (512, 384)) -> Pair:
+    """Return two photographs whose directions of view differ by more than 50 degrees.
+
+    Second neighbours of the temple ring where ``SFMKIT_DATA`` or the cache holds it, else a
+    rendered courtyard seen from both sides; with cameras and true pose.
+
+    Args:
+        size_wh: Size of the rendered images.
+
+    Returns:
+        The pair with its images as (H, W, 3) uint8 RGB arrays.
+    """
+    from .middlebury import temple_ring
+
+    try:
+        views = {view.path.stem: view for view in temple_ring()}
+        a, b = views["templeSR0003"], views["templeSR0002"]
+    except (InputError, KeyError):
+        p = render(_apart(), size_wh=size_wh, blur=0.8, noise=2.0, jpeg_quality=90)
+        return Pair(
+            "synthetic",
+            "courtyard",
+            "apart",
+            p.image1,
+            p.image2,
+            p.camera1,
+            p.camera2,
+            R=p.R,
+            t=p.t,
+        )
+    R = b.R @ a.R.T
+    return Pair(
+        "middlebury",
+        "temple",
+        f"{a.path.stem}-{b.path.stem}",
+        read_image(a.path).rgb,
+        read_image(b.path).rgb,
+        a.camera,
+        b.camera,
+        R=R,
+        t=b.t - R @ a.t,
+    )
+
+
+def _apart() -> Scene:
+    """The courtyard from the left and from the right."""
+    left = look((-1.9, -1.6, 3.4), (0.9, -1.3, 7.0))
+    right = look((3.1, -1.9, 3.8), (-0.3, -1.3, 6.6), -3)
+    return Scene("apart", named_scene("courtyard").surfaces, left, right)
 
 
 #: Change -> sequence of the Oxford set; the rendered sequences have the name of the change.

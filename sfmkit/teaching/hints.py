@@ -180,4 +180,20 @@ HINTS: dict[str, tuple[str, str]] = {
         "Divide |x2^T F x1| by the norm of its gradient with respect to the four coordinates.",
         "The gradient has the first two entries of F x1 and the first two of F^T x2.",
     ),
+    "11.1": (
+        "Each query compares itself with all keys; the result is a weighted mean of the values.",
+        "Compute S = Q K^T / sqrt(d), apply the softmax to each row, and multiply by V.",
+    ),
+    "11.2": (
+        "This is the cross-check of notebook 02 for scores, with a lower limit.",
+        "With j = P.argmax(1), row i is kept if P.argmax(0)[j[i]] == i and P[i, j[i]] >= least.",
+    ),
+    "11.3": (
+        "Where do the corners (0, 0) and (w - 1, 0) of the first row go?",
+        "The first row becomes the last column, from top to bottom.",
+    ),
+    "11.4": (
+        "Weight each measurement by its information, the inverse of its variance.",
+        "The information of independent measurements adds up: 1 / sigma^2 = sum of 1 / s^2.",
+    ),
 }

@@ -71,6 +71,11 @@ LOGGED = {
         f"{IMAGE1}/epipolar/lines",
         f"{IMAGE2}/epipolar/lines",
     ],
+    "11_learned_features": [
+        f"{IMAGE1}/keypoints/aliked",
+        "/matches/tentative/sift",
+        "/matches/inliers/aliked",
+    ],
 }
 
 

@@ -9,6 +9,7 @@ from . import (
     epipolar_geometry,
     features,
     homography,
+    learned_features,
     matching,
     motion,
     own_photographs,
@@ -32,6 +33,7 @@ _NOTEBOOKS = (
     ablation,
     own_photographs,
     robust_estimation,
+    learned_features,
 )
 
 EXERCISES: dict[str, Exercise] = {
