@@ -39,6 +39,7 @@ WRITING = {
     "bench verdict": ["--data", "no-data"],
     "ablate": ["--data", "no-pairs.json"],
     "ablate merge": ["no-shard"],
+    "ablate report": ["no-sweep"],
     "report": ["results"],
     "page": ["results"],
 }
