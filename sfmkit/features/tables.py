@@ -425,8 +425,8 @@ def find_spec(name: str) -> OperatorSpec:
     """Find the named operator, or build the pair ``detector+descriptor``.
 
     Raises:
-        OperatorError: Unknown name (the message suggests the nearest known one), or an incompatible
-            pair.
+        OperatorError: The name is unknown (the message suggests the most similar name), or the pair
+            is incompatible.
     """
     name = str(name).strip().lower()
     if name in OPERATORS:

@@ -50,7 +50,7 @@ def normalize(x: Tensor, K: Tensor) -> Tensor:
         (*B, N, 2).
 
     Raises:
-        InputError: K is singular or not an intrinsic matrix; x holds NaN or infinite values;
+        InputError: K is singular or not an intrinsic matrix; x contains NaN or infinite values;
             shapes, dtypes or devices do not fit.
 
     Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.), 6.1.

@@ -87,7 +87,7 @@ def undistort(
             or more from the axis. Those points are NaN.
 
     Returns:
-        ``(*B, N, 2)`` normalised coordinates without distortion, and the mask if asked for.
+        ``(*B, N, 2)`` normalised coordinates without distortion, and the mask if requested.
 
     Raises:
         InputError: Shapes, dtypes or devices do not fit, or a value is NaN; without `return_valid`

@@ -169,7 +169,7 @@ def _invariants(M: Tensor) -> tuple[tuple[Tensor, Tensor, Tensor], tuple[Tensor,
 
 
 def _positive_roots(cubic: Tensor) -> tuple[Tensor, Tensor]:
-    """Three slots (*B, 3) of positive real roots, and which of them hold one."""
+    """Return positive real roots (*B, 3) and a mask (*B, 3) of the slots in use."""
     roots = solve_cubic(cubic.reshape(-1, 4)).reshape(*cubic.shape[:-1], 3)
     valid = torch.isfinite(roots) & (roots > 0)
     return torch.where(valid, roots, 1.0), valid

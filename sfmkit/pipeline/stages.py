@@ -95,7 +95,7 @@ def choose_options(
         matchers: The name of a matcher for all operators, or a mapping operator -> matcher; None
             keeps those of the options.
         device: Torch device; None keeps that of the options.
-        seed: Only checked: from 0 to 2^31 - 1.
+        seed: Seed, which is only checked; from 0 to 2^31 - 1.
 
     Raises:
         InputError: The seed is out of range, matchers or overrides are given for operators that are
