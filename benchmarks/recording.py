@@ -18,9 +18,8 @@ from sfmkit import reconstruct
 from sfmkit.datasets.synthetic import demo_pair
 from sfmkit.io.images import read_image
 from sfmkit.io.intrinsics import parse_intrinsics
-from sfmkit.recording.inspection import point_origin
+from sfmkit.recording.inspection import describe_point
 from sfmkit.recording.log import save_recording
-from sfmkit.recording.read import read_recording
 
 
 def median_s(work: Callable[[], object]) -> float:
@@ -40,7 +39,7 @@ def main() -> None:
         path = Path(folder) / "recording.rrd"
         write = median_s(lambda: save_recording(path, result))
         size = path.stat().st_size / 1e6
-        read = median_s(lambda: point_origin(read_recording(path), 0))
+        read = median_s(lambda: describe_point(path, 0))
     account = result.account["multi"]
     print("| keypoints | correspondences | points | size, MB | write, s | inspect a point, s |")
     print("|--:|--:|--:|--:|--:|--:|")

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..recording import read_recording
 from ..recording.inspection import Tables, read_tables, rejections
 from ..recording.inspection.lives import WORDS, matching_rule, reasons
+from ..recording.inspection.questions import HEAD, rejection_rows
 from ..viz.colours import operator_colour
 from . import page
 
@@ -149,19 +150,15 @@ def _data(tables: Tables) -> dict[str, Any]:
 
 
 def _rejected(tables: Tables) -> str:
-    rows = [
-        (
-            r.stage,
-            f"{r.operator}: {r.reason}" if r.operator else r.reason,
-            f"{r.count:,} of {r.of:,}",
-            f"{r.count / r.of:.1%}",
-            r.why,
-        )
-        for r in rejections(tables)
-    ]
-    head = ("stage", "reason", "rejected", "share", "rule")
+    found = rejections(tables)
+    rows = [(*row, r.why) for row, r in zip(rejection_rows(tables, found), found, strict=True)]
     return page.table(
-        "Keypoints of image 1 and fused matches", head, rows, right=(False, False, True, True)
+        "Keypoints of image 1 and fused matches",
+        (*HEAD, "rule"),
+        rows,
+        right=(False, False, True, True),
+        note="Examples of keypoints are pixels of image 1, others are numbers of matches, which "
+        "can be entered above.",
     )
 
 
@@ -219,7 +216,7 @@ def _html(tables: Tables, photos: Sequence[str]) -> str:
         + '<div class="controls"><label>colour <select id="colour"><option value="photo">photograph'
         '</option><option value="operator">operator</option></select></label></div>'
         '<canvas id="scene"></canvas><p class="note">Drag to turn, scroll or use two fingers to '
-        "zoom, click a point. Triangles: the cameras.</p>"
+        "zoom, click a point to read where it comes from. Triangles: the cameras.</p>"
         if len(tables.points.xyz)
         else page.paragraphs([f"There is no cloud: {report['verdict']['reason']}"])
     )
@@ -229,7 +226,9 @@ def _html(tables: Tables, photos: Sequence[str]) -> str:
         '<label><input type="checkbox" id="heat">coverage as heat map</label>'
         '<span id="count"></span></div>'
         '<p class="note">Colour: the operator; a cross: a rejected match; yellow: the chosen one. '
-        "Heat map: dark blue few, yellow many per cell; nothing: none. Click a dot.</p>"
+        "Click a dot.</p>"
+        '<figure id="bar" hidden><div class="ramp"></div><div class="ticks"></div>'
+        "<figcaption></figcaption></figure>"
         f'<div class="stage"><div class="photos">{figures}</div>{cloud}'
         '<div class="side"><pre id="life" aria-live="polite">Click a photograph or the cloud to '
         "read what became of a keypoint, match or point.</pre>"

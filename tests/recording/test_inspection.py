@@ -25,7 +25,6 @@ from sfmkit.recording.inspection import (
     describe_point,
     describe_recording,
     diff_recordings,
-    point_origin,
 )
 from sfmkit.recording.log import save_recording
 from sfmkit.recording.read import RecordingError, read_recording
@@ -41,46 +40,44 @@ def path(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 4, 8, POINTS - 1])
-def test_a_point_is_followed_back_to_its_pixels_and_detectors(path, n):
-    origin = point_origin(read_recording(path), n)
+def test_a_point_is_followed_back_to_its_pixels_and_operators(path, n):
+    words = describe_point(path, n)
     cloud, corr = RESULT.cloud, RESULT.correspondences
-    np.testing.assert_allclose(origin.xyz, cloud.xyz[n], rtol=1e-6)
-    np.testing.assert_allclose(origin.x1, corr.x1[n], rtol=1e-6)
-    np.testing.assert_allclose(origin.x2, corr.x2[n], rtol=1e-6)
-    assert origin.total == POINTS
-    assert origin.kept == OPERATORS[n % 3]
-    expected = {OPERATORS[n % 3]} | ({OPERATORS[(n + 1) % 3]} if n % 4 == 0 else set())
-    assert set(origin.operators) == expected
-    assert origin.match == n
-    assert origin.residual_px == pytest.approx(float(cloud.reprojection_error[n]), rel=1e-6)
-    assert origin.residual_rank == pytest.approx(
-        (POINTS - 1 - n) / POINTS
-    )  # the fixture's residuals grow with n
-    assert origin.parallax_deg == pytest.approx(float(cloud.parallax[n]), rel=1e-6)
-    assert origin.sigma == pytest.approx(0.0101**0.5, rel=1e-5)
-    assert len(origin.sightings) == 2 * len(expected)
-    for s in origin.sightings:
-        f = RESULT.features[s.operator][s.image - 1]
-        np.testing.assert_allclose(s.pixel, f.keypoints[s.keypoint], rtol=1e-6)
-        assert s.scale_px == pytest.approx(float(f.scales[s.keypoint]))
-        assert s.kept == (s.operator == origin.kept)
-        x = (origin.x1, origin.x2)[s.image - 1]
-        assert np.hypot(*np.subtract(s.pixel, x)) < (
-            1e-3 if s.kept else 0.6
-        )  # the fixture merges from 0.57 px away
+    assert words.startswith(f"point {n} of {POINTS}, match {n} of {len(corr)}: point\n")
+    x, y, z = cloud.xyz[n].tolist()
+    assert f"point {n} at ({x:.3f}, {y:.3f}, {z:.3f}) baselines" in words
+    for image, x in ((1, corr.x1[n]), (2, corr.x2[n])):
+        assert re.search(rf"in image {image}, keypoint \d+, at \({x[0]:.1f}, {x[1]:.1f}\)", words)
+    kept = OPERATORS[n % 3]
+    found_by = {kept} | ({OPERATORS[(n + 1) % 3]} if n % 4 == 0 else set())
+    said = re.search(r"the position of (.*) was kept; found by (.*)", words)
+    assert (said[1], set(said[2].split(", "))) == (kept, found_by)
+    assert f"error {float(cloud.reprojection_error[n]):.2f} px" in words
+    worse = 100 * (POINTS - 1 - n) / POINTS  # the residuals of the fixture grow with n
+    assert f"{worse:.0f} % of the points have a larger one" in words
+    assert f"parallax {float(cloud.parallax[n]):.2f} deg" in words
+    sigma = 0.0101**0.5
+    assert f"deviation {sigma:.4f} baselines in the worst direction" in words
+    assert f"{100 * sigma / z:.2f} % of the depth" in words
+    merged = re.findall(
+        r"(\S+) keypoints (\d+) at \((\S+), (\S+)\) and (\d+) at \((\S+), (\S+)\) were", words
+    )
+    assert {name for name, *_ in merged} == found_by - {kept}
+    for name, k1, *xy1, k2, x2, y2 in merged:
+        for f, k, xy, x in zip(
+            RESULT.features[name], (k1, k2), (xy1, (x2, y2)), (corr.x1[n], corr.x2[n]), strict=True
+        ):
+            said_xy = np.array(xy, dtype=float)
+            np.testing.assert_allclose(said_xy, f.keypoints[int(k)], atol=0.051)
+            assert np.hypot(*(said_xy - x.numpy())) < 0.7  # the fixture merges from 0.57 px away
 
 
-def test_the_answer_about_a_point_in_words(path):
-    words = describe_point(path, 4)
-    x = RESULT.correspondences.x1[4].tolist()
-    assert f"image 1       pixel ({x[0]:.2f}, {x[1]:.2f})" in words
-    assert "orb, fast-brief; position of orb" in words
-    assert words.count("merged into it") == 2
-    assert "uncertainty" in words
+def test_a_point_without_a_covariance(path):
     bare = replace(RESULT, cloud=replace(RESULT.cloud, covariance=None))
     other = path.with_name("bare.rrd")
     save_recording(other, bare)
-    assert "uncertainty" not in describe_point(other, 4)
+    assert "deviation" in describe_point(path, 4)
+    assert "deviation" not in describe_point(other, 4)
 
 
 def test_the_overview_has_verdict_pose_and_account(path):

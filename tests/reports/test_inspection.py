@@ -9,7 +9,7 @@ from made_up_result import OPERATORS, POINTS, make_result
 
 from sfmkit.errors import InputError
 from sfmkit.recording import read_recording, save_recording
-from sfmkit.recording.inspection import keypoint_life, match_life, read_tables
+from sfmkit.recording.inspection import keypoint_life, match_life, point_life, read_tables
 from sfmkit.reports import write_inspector
 
 RESULT = make_result()
@@ -74,7 +74,7 @@ def test_clicks_are_answered_as_by_the_library(made):
             assert shown() == str(match_life(tables, row))
         page.fill("#point", "7")
         page.click("#go button")
-        assert shown() == str(match_life(tables, 7))
+        assert shown() == str(point_life(tables, 7))
         ties = [0.25, 0.75, -0.25, 2.5, 3.5, -2.5, 0.125, 1234.5]
         rounded = page.evaluate(
             "(v) => v.map((x) => [fixed(x, 0), fixed(x, 1), fixed(x, 2)])", ties
@@ -84,7 +84,7 @@ def test_clicks_are_answered_as_by_the_library(made):
         page.locator("#scene").scroll_into_view_if_needed()
         at = page.evaluate("placed.filter(([, n]) => n === 20)[0][0].slice(0, 2)")
         page.locator("#scene").click(position={"x": at[0], "y": at[1]})
-        assert shown().startswith("match ")
+        assert shown().startswith("point ")
         page.check("#heat")
         assert not errors
         assert all(url.startswith(("file:", "data:")) for url in requests)

@@ -4,13 +4,13 @@ Reads what :func:`sfmkit.recording.save_recording` wrote; docs/recording.md desc
 """
 
 from .difference import diff_recordings
-from .lives import Life, keypoint_life, match_life
+from .lives import Life, keypoint_life, match_life, point_life
 from .overview import describe_entity, describe_operator, describe_recording
-from .points import PointOrigin, Sighting, describe_point, point_origin
 from .questions import (
     Rejection,
     describe_match,
     describe_pixel,
+    describe_point,
     describe_rejected,
     rejections,
 )
@@ -18,9 +18,7 @@ from .tables import Tables, read_tables
 
 __all__ = [
     "Life",
-    "PointOrigin",
     "Rejection",
-    "Sighting",
     "Tables",
     "describe_entity",
     "describe_match",
@@ -32,7 +30,7 @@ __all__ = [
     "diff_recordings",
     "keypoint_life",
     "match_life",
-    "point_origin",
+    "point_life",
     "read_tables",
     "rejections",
 ]

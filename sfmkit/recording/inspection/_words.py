@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -39,14 +39,6 @@ def image_words(image: dict[str, Any]) -> str:
 
 def with_unit(value: Number, unit: str) -> str:
     return "none" if value is None else f"{value:.3f} {unit}"
-
-
-def ratio_words(value: float) -> str:
-    return f"{value:.2f} of the second best, " if np.isfinite(value) else ""
-
-
-def pixel_words(x: Iterable[float]) -> str:
-    return "(" + ", ".join(f"{v:.2f}" for v in x) + ")"
 
 
 def short(value: Any) -> str:

@@ -6,7 +6,7 @@ A life is a list of steps in words. The templates in :data:`WORDS` are filled by
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,20 +28,23 @@ WORDS = {
     "unmatched": "ended here: no match; {rule}",
     "kept": "the position of {kept} was kept; found by {operators}",
     "merged": "merged into match {match:,} of {kept}, a duplicate within {radius:.1f} px",
-    "joined": "{operator} keypoints {keypoint1:,} and {keypoint2:,} were merged into it",
+    "joined": "{operator} keypoints {keypoint1:,} at ({x1:.1f}, {y1:.1f}) and {keypoint2:,} at "
+    "({x2:.1f}, {y2:.1f}) were merged into it",
     "inlier": "inlier, {distance:.2f} px from the geometry",
     "outlier": "ended here: {reason}, {distance:.2f} px from the geometry; {why}",
     "no geometry": "ended here: {reason}; {why}",
     "triangulated": "point {point:,} at ({x:.3f}, {y:.3f}, {z:.3f}) baselines",
     "no point": "ended here: {why}",
-    "quality": "reprojection error {residual:.2f} px, parallax {parallax:.2f} deg",
-    "sigma": ", standard deviation {sigma:.4f} baselines",
+    "quality": "reprojection error {residual:.2f} px, {worse:.0f} % of the points have a larger "
+    "one; parallax {parallax:.2f} deg",
+    "sigma": "; standard deviation {sigma:.4f} baselines in the worst direction, {share:.2f} % of "
+    "the depth",
 }
 
 
 @dataclass(frozen=True)
 class Life:
-    """The life of a keypoint or of a match.
+    """The life of a keypoint, of a match or of a point.
 
     Attributes:
         title: what it is.
@@ -144,8 +147,7 @@ def match_life(tables: Tables, n: int) -> Life:
     for name in tables.operators:
         k = tables.keypoints[name][0]
         for i in np.flatnonzero(k.merged & (k.match == n)).tolist():
-            joined = {"operator": name, "keypoint1": i, "keypoint2": int(k.partner[i])}
-            steps.append(("", WORDS["joined"].format(**joined)))
+            steps.append(("", _joined(tables, name, i)))
     point = int(m.point[n])
     return Life(
         WORDS["match"].format(match=n, total=total),
@@ -153,6 +155,32 @@ def match_life(tables: Tables, n: int) -> Life:
         n,
         point if point >= 0 else None,
         str(m.fate[n]),
+    )
+
+
+def point_life(tables: Tables, n: int) -> Life:
+    """Follow point `n` of the cloud: the life of its match, under the point's number.
+
+    Raises:
+        RecordingError: the recording has no cloud, or the cloud no such point.
+    """
+    total = len(tables.points.xyz)
+    if not total:
+        verdict = tables.report["verdict"]["kind"]
+        raise RecordingError(f"the recording has no cloud; its verdict is: {verdict}")
+    if not 0 <= n < total:
+        raise RecordingError(f"there is no point {n}; the recording has points 0 to {total - 1}")
+    life = match_life(tables, int(np.flatnonzero(tables.matches.point == n)[0]))
+    return replace(life, title=f"{WORDS['point'].format(point=n, total=total)}, {life.title}")
+
+
+def _joined(tables: Tables, operator: str, n: int) -> str:
+    """The merged match that keypoint `n` of image 1 was part of."""
+    first, second = tables.keypoints[operator]
+    partner = int(first.partner[n])
+    (x1, y1), (x2, y2) = first.xy[n], second.xy[partner]
+    return WORDS["joined"].format(
+        operator=operator, keypoint1=n, keypoint2=partner, x1=x1, y1=y1, x2=x2, y2=y2
     )
 
 
@@ -207,8 +235,12 @@ def _estimated(tables: Tables, row: int) -> list[tuple[str, str]]:
         return [*steps, ("triangulated", WORDS["no point"].format(why=why))]
     p = tables.points
     x, y, z = p.xyz[n]
-    quality = WORDS["quality"].format(residual=p.residual_px[n], parallax=p.parallax_deg[n])
+    worse = 100 * int((p.residual_px > p.residual_px[n]).sum()) / len(p.residual_px)
+    quality = WORDS["quality"].format(
+        residual=p.residual_px[n], worse=worse, parallax=p.parallax_deg[n]
+    )
     if np.isfinite(p.sigma[n]):
-        quality += WORDS["sigma"].format(sigma=p.sigma[n])
+        share = 100 * float(p.sigma[n]) / float(z)
+        quality += WORDS["sigma"].format(sigma=p.sigma[n], share=share)
     steps.append(("triangulated", WORDS["triangulated"].format(point=n, x=x, y=y, z=z)))
     return [*steps, ("quality", quality)]

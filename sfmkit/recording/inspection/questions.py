@@ -1,7 +1,8 @@
-"""Answers about pixels, matches and rejections in text."""
+"""Answers about pixels, matches, points and rejections in text."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from ...errors import OperatorError
 from ..read import RecordingError, read_recording
 from ..trace import MERGED, POINT, UNMATCHED
 from ._words import table
-from .lives import keypoint_life, match_life, matching_rule, reasons
+from .lives import keypoint_life, match_life, matching_rule, point_life, reasons
 from .tables import Tables, read_tables
 
 RADIUS_PX = 5.0  # a keypoint further away does not belong to a clicked pixel
 _MOST = 8  # lives printed for one pixel
+HEAD = ("stage", "reason", "rejected", "share", "examples")  # of `rejection_rows`
 
 
 @dataclass(frozen=True)
@@ -79,23 +81,37 @@ def rejections(tables: Tables, operator: str | None = None) -> tuple[Rejection, 
     return tuple(found)
 
 
-def describe_rejected(path: str | Path, operator: str | None = None, prefix: str = "") -> str:
-    """Tabulate why keypoints and matches were rejected, with counts and examples."""
-    tables = read_tables(read_recording(path), prefix)
-    found = rejections(tables, operator)
-    rows = [
+def rejection_rows(tables: Tables, found: Sequence[Rejection]) -> list[tuple[str, ...]]:
+    """Put rejections into words, one row each with the columns :data:`HEAD`.
+
+    An example of a keypoint is its pixel in image 1, an example of a match its number.
+    """
+    return [
         (
             r.stage,
             f"{r.operator}: {r.reason}" if r.operator else r.reason,
-            f"{r.count:,} of {r.of:,} ({r.count / r.of:.1%})",
+            f"{r.count:,} of {r.of:,}",
+            f"{r.count / r.of:.1%}",
             "  ".join(_example(tables, r.operator, n) for n in r.examples),
         )
         for r in found
     ]
+
+
+def _example(tables: Tables, operator: str | None, n: int) -> str:
+    if operator is None:
+        return str(n)
+    return ",".join(f"{v:.1f}" for v in tables.keypoints[operator][0].xy[n])
+
+
+def describe_rejected(path: str | Path, operator: str | None = None, prefix: str = "") -> str:
+    """Tabulate why keypoints and matches were rejected, with counts and examples."""
+    tables = read_tables(read_recording(path), prefix)
+    found = rejections(tables, operator)
     rules = dict.fromkeys(f"{r.reason}: {r.why}" for r in found)
     return "\n".join(
         [
-            table(("stage", "reason", "rejected", "examples"), rows, left=4),
+            table(HEAD, rejection_rows(tables, found), left=len(HEAD)),
             "",
             "Examples of keypoints are pixels of image 1 (--pixel X,Y), others are matches "
             "(--match N).",
@@ -104,10 +120,9 @@ def describe_rejected(path: str | Path, operator: str | None = None, prefix: str
     )
 
 
-def _example(tables: Tables, operator: str | None, n: int) -> str:
-    if operator is None:
-        return str(n)
-    return ",".join(f"{v:.1f}" for v in tables.keypoints[operator][0].xy[n])
+def describe_point(path: str | Path, n: int, prefix: str = "") -> str:
+    """Describe the life of point `n` of the cloud."""
+    return str(point_life(read_tables(read_recording(path), prefix), n))
 
 
 def describe_match(path: str | Path, n: int, prefix: str = "") -> str:

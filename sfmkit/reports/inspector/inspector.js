@@ -64,8 +64,11 @@ function estimated(row) {
   const steps = [["estimated", words("inlier", { distance })]];
   if (n < 0) return [...steps, ["triangulated", words("no point", { why })]];
   const [x, y, z] = points.xyz.subarray(3 * n, 3 * n + 3);
-  let quality = words("quality", { residual: points.residual[n], parallax: points.parallax[n] });
-  if (Number.isFinite(points.sigma[n])) quality += words("sigma", { sigma: points.sigma[n] });
+  const residual = points.residual[n];
+  const worse = (100 * points.residual.filter((r) => r > residual).length) / points.residual.length;
+  let quality = words("quality", { residual, worse, parallax: points.parallax[n] });
+  const sigma = points.sigma[n];
+  if (Number.isFinite(sigma)) quality += words("sigma", { sigma, share: (100 * sigma) / z });
   return [...steps, ["triangulated", words("triangulated", { point: n, x, y, z })],
     ["quality", quality]];
 }
@@ -98,16 +101,25 @@ function matchLife(row) {
     const k = operator.keypoints[0];
     k.match.forEach((m, n) => {
       if (m !== row || !k.merged[n]) return;
-      const joined = { operator: operator.name, keypoint1: n, keypoint2: k.partner[n] };
-      steps.push(["", words("joined", joined)]);
+      const [partner, { xy }] = [k.partner[n], operator.keypoints[1]];
+      steps.push(["", words("joined", {
+        operator: operator.name, keypoint1: n, keypoint2: partner, x1: k.xy[2 * n],
+        y1: k.xy[2 * n + 1], x2: xy[2 * partner], y2: xy[2 * partner + 1],
+      })]);
     });
   }
   const title = words("match", { match: row, total: matches.kept.length });
   return { title, fate: fateOf(row), steps: [...steps, ...estimated(row)], row };
 }
 
+function pointLife(n) {
+  const life = matchLife(matches.point.indexOf(n));
+  const title = words("point", { point: n, total: points.residual.length });
+  return { ...life, title: `${title}, ${life.title}` };
+}
+
 // Dots of the photographs.
-const state = { chosen: null, point: -1, dots: [[], []] };
+const state = { chosen: null, point: -1, dots: [[], []], cells: [], most: 1 };
 const shows = {
   keypoints: () => true,
   unmatched: (k, n) => k.partner[n] < 0,
@@ -133,6 +145,42 @@ function collect() {
   const n = state.dots[0].length;
   element("count").textContent = `${n.toLocaleString("en")} in image 1, `
     + `${state.dots[1].length.toLocaleString("en")} in image 2`;
+  countCells();
+}
+// Coverage: marks per square cell, CELLS of them along the width, on one scale for both images.
+const CELLS = 40;
+const shade = (count) => Math.log1p(count) / Math.log1p(state.most);
+function countCells() {
+  state.cells = state.dots.map((dots, i) => {
+    const [cells, side] = [new Map(), data.sizes[i][0] / CELLS];
+    for (const [k, n] of dots) {
+      const { xy } = operators[k].keypoints[i];
+      const column = Math.min(CELLS - 1, Math.floor((xy[2 * n] + 0.5) / side));
+      const cell = CELLS * Math.floor((xy[2 * n + 1] + 0.5) / side) + column;
+      cells.set(cell, (cells.get(cell) ?? 0) + 1);
+    }
+    return cells;
+  });
+  state.most = Math.max(1, ...state.cells.flatMap((cells) => [...cells.values()]));
+  const bar = element("bar");
+  bar.hidden = !element("heat").checked;
+  const steps = [...Array(33).keys()].map((k) => shade(1) + (k / 32) * (1 - shade(1)));
+  bar.querySelector(".ramp").style.background =
+    `linear-gradient(to right, ${steps.map((v) => `rgb(${ramp(v).join(" ")})`).join(", ")})`;
+  const at = (count) => state.most === 1 ? 0 : (shade(count) - shade(1)) / (1 - shade(1));
+  const round = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
+    .filter((count) => count === 1 || at(count) < 0.85);
+  bar.querySelector(".ticks").replaceChildren(...[...new Set([...round, state.most])].map((count) => {
+    const tick = document.createElement("span");
+    tick.textContent = count.toLocaleString("en");
+    tick.style.left = `${100 * at(count)}%`;
+    return tick;
+  }));
+  const what = element("stage").selectedOptions[0].textContent;
+  const sides = [...new Set(data.sizes.map(([w]) => (w / CELLS).toFixed(0)))]
+    .map((side) => `${side} x ${side}`).join(" and ");
+  bar.querySelector("figcaption").textContent =
+    `${what}: number per cell of ${sides} pixels; a cell without a colour has none`;
 }
 const boxes = [1, 2].map((n) => document.querySelector(`#photo${n} canvas`));
 function ramp(v) { // dark blue to yellow
@@ -153,17 +201,10 @@ function drawPhoto(i) {
     return [(xy[2 * n] + 0.5) * scale, (xy[2 * n + 1] + 0.5) * scale];
   };
   if (element("heat").checked) {
-    const side = canvas.width / 40;
-    const cells = new Map();
-    for (const [k, n] of state.dots[i]) {
-      const key = place(k, n).map((v) => Math.floor(v / side)).join();
-      cells.set(key, (cells.get(key) ?? 0) + 1);
-    }
-    const most = Math.max(1, ...cells.values());
-    for (const [key, count] of cells) {
-      const [x, y] = key.split(",").map(Number);
-      context.fillStyle = `rgb(${ramp(Math.log1p(count) / Math.log1p(most))} / .75)`
-        .replace(/,/g, " ");
+    const side = canvas.width / CELLS;
+    for (const [cell, count] of state.cells[i]) {
+      const [x, y] = [cell % CELLS, Math.floor(cell / CELLS)];
+      context.fillStyle = `rgb(${ramp(shade(count)).join(" ")} / .75)`;
       context.fillRect(x * side, y * side, side, side);
     }
   } else {
@@ -207,12 +248,10 @@ function showKeypoint(o, image, n) {
   const partner = operators[o].keypoints[image - 1].partner[n];
   show(keypointLife(o, image, n), o, image === 1 ? [n, partner] : [partner, n]);
 }
-const showMatch = (row) =>
-  show(matchLife(row), matches.kept[row], [matches.keypoint1[row], matches.keypoint2[row]]);
-function showPoint(n) {
-  const row = matches.point.indexOf(n);
-  if (row >= 0) showMatch(row);
-}
+const showLife = (life) => show(life, matches.kept[life.row],
+  [matches.keypoint1[life.row], matches.keypoint2[life.row]]);
+const showMatch = (row) => showLife(matchLife(row));
+const showPoint = (n) => showLife(pointLife(n));
 boxes.forEach((canvas, i) => canvas.addEventListener("click", (event) => {
   const box = canvas.getBoundingClientRect();
   const scale = data.sizes[i][0] / box.width;
@@ -247,6 +286,18 @@ const median = (axis) => [...Array(total).keys()].map((n) => points.xyz[3 * n + 
 const centre = [0, 1, 2].map(median);
 const distance = Math.max(centre[2], 1e-9);
 let placed = [];
+// The point that is seen at a place of the canvas: the front one of those whose square covers it,
+// else the one whose centre is nearest, within 10 pixels; -1 for none.
+function pointAt(x, y) {
+  const half = window.devicePixelRatio || 1;
+  let [best, least] = [-1, (10 * half) ** 2];
+  for (const [[u, v], n] of placed) { // far points first
+    const covers = Math.abs(u - x) <= half && Math.abs(v - y) <= half;
+    const d = covers ? 0 : (u - x) ** 2 + (v - y) ** 2;
+    if (d <= least) [best, least] = [n, d];
+  }
+  return best;
+}
 function drawCloud() {
   if (!cloud) return;
   const sharp = window.devicePixelRatio || 1;
@@ -339,12 +390,9 @@ if (cloud) {
     if (moved > 5) return;
     const [box, sharp] = [cloud.getBoundingClientRect(), window.devicePixelRatio || 1];
     const [x, y] = [(event.clientX - box.left) * sharp, (event.clientY - box.top) * sharp];
-    let [best, least] = [-1, (10 * sharp) ** 2];
-    for (const [p, n] of placed) {
-      const d = (p[0] - x) ** 2 + (p[1] - y) ** 2;
-      if (d <= least) [best, least] = [n, d];
-    }
-    if (best >= 0) showPoint(best);
+    const n = pointAt(x, y);
+    if (n >= 0) showPoint(n);
+    else element("life").textContent = "no point of the cloud is drawn within 10 pixels of this place";
   });
   element("colour").addEventListener("change", drawCloud);
 }
