@@ -7,19 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from ..errors import InputError
+from .eye import UP, eye_for, near_points, seen_points
+from .log_photos import dot_size
+from .scales import BAR_BOUNDS, LEGEND_BOUNDS
 from .stream import Size, beside
 
 if TYPE_CHECKING:
     from ..pipeline.reconstruction import Reconstruction
 
-_UP = (0, -1, 0)  # the frame of camera 1 has y down
-# Direction of view into the scene, from behind, above and the left of the cameras.
-_FORWARD = np.array([-0.35, 0.42, 0.84])
-_FIELD = np.tan(np.radians(55 / 2))  # half the viewer's vertical field of view
-_ASPECT = 1.25  # width over height of the narrowest 3-D view at 1280 x 800
 LEGEND_SHARE = 6  # a page is this many times higher than its legend
 
 
@@ -32,11 +31,17 @@ class Layout:
         seen: (M, 3) points that the 3-D views must contain, baselines.
         cloud, covariance, history: whether there are a cloud, covariances of its points and a
             history of the robust estimate.
+        near: (M, 3) points that the views of the four poses must contain, baselines.
+        operators: names, for views of each operator's keypoints.
+        points: number of points of the cloud; the more, the smaller are their dots in photographs.
         prefix: of the entity paths.
     """
 
     sizes_wh: tuple[Size, Size] | None = None
     seen: np.ndarray | None = None
+    near: np.ndarray | None = None
+    operators: tuple[str, ...] = ()
+    points: int = 20_000
     cloud: bool = True
     covariance: bool = True
     history: bool = True
@@ -53,7 +58,10 @@ def layout_of(result: Reconstruction, prefix: str = "") -> Layout:
     view, cloud = result.two_view, result.cloud
     return Layout(
         sizes_wh=(result.images[0].size_wh, result.images[1].size_wh),
-        seen=_seen(result),
+        seen=seen_points(result),
+        near=near_points(result),
+        operators=result.correspondences.operators,
+        points=0 if cloud is None else len(cloud),
         cloud=cloud is not None,
         covariance=cloud is not None and cloud.covariance is not None,
         history=bool(view.history),
@@ -115,8 +123,24 @@ def make_blueprint(
 
 
 def _with_legend(page: Any, name: str, layout: Layout) -> rrb.Vertical:
-    legend = rrb.Spatial2DView(origin=f"{layout.root}/legend", name="Colours")
-    return rrb.Vertical(page, legend, row_shares=[LEGEND_SHARE, 1], name=name)
+    """The views of a page above the legend and the colour bars of its quantities."""
+    legend = _strip(f"{layout.root}/legend", "Colours", LEGEND_BOUNDS)
+    scales = [
+        _strip(f"{layout.root}/scale/{quantity}", words, BAR_BOUNDS)
+        for quantity, words in SCALES.get(name, {}).items()
+        if (layout.covariance or quantity != "uncertainty")
+        and (layout.operators or quantity != "coverage")
+    ]
+    shares = [4, *[3] * len(scales)]
+    below = rrb.Horizontal(legend, *scales, column_shares=shares) if scales else legend
+    return rrb.Vertical(page, below, row_shares=[LEGEND_SHARE, 1], name=name)
+
+
+def _strip(
+    origin: str, name: str, bounds: tuple[tuple[float, float], tuple[float, float]]
+) -> rrb.Spatial2DView:
+    fixed = rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1])
+    return rrb.Spatial2DView(origin=origin, name=name, visual_bounds=fixed)
 
 
 def _image(layout: Layout, number: int, name: str, *what: str) -> rrb.Spatial2DView:
@@ -127,7 +151,15 @@ def _image(layout: Layout, number: int, name: str, *what: str) -> rrb.Spatial2DV
     if layout.sizes_wh is not None:
         w, h = layout.sizes_wh[number - 1]
         bounds = rrb.VisualBounds2D(x_range=(-0.5, w - 0.5), y_range=(-0.5, h - 0.5))
-    return rrb.Spatial2DView(origin=origin, contents=contents, name=name, visual_bounds=bounds)
+    # Dots of the whole cloud would hide the photograph.
+    thin = rr.Points3D.from_fields(radii=dot_size(layout.points))
+    return rrb.Spatial2DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        visual_bounds=bounds,
+        overrides={e: thin for e in what if e.startswith("/")},
+    )
 
 
 def _space(layout: Layout, name: str, *what: str, near: bool = False) -> rrb.Spatial3DView:
@@ -136,11 +168,12 @@ def _space(layout: Layout, name: str, *what: str, near: bool = False) -> rrb.Spa
     cameras = [f"{world}/cam{i}{rest}" for i in (1, 2) for rest in ("", "/image", "/image/photo")]
     seen = layout.seen
     if near:
-        seen = np.array([[x, y, z] for x in (-1.3, 1.3) for y in (-0.6, 0.6) for z in (-0.6, 0.6)])
+        box = [[x, y, z] for x in (-1.3, 1.3) for y in (-1.3, 0.6) for z in (-0.6, 0.6)]
+        seen = np.array(box) if layout.near is None else layout.near
     eye = None
     if seen is not None:
         position, target = eye_for(seen)
-        eye = rrb.EyeControls3D(position=position, look_target=target, eye_up=_UP)
+        eye = rrb.EyeControls3D(position=position, look_target=target, eye_up=UP)
     return rrb.Spatial3DView(
         origin=world,
         contents=[world, *cameras, *(f"{world}/{e}" for e in what)],
@@ -148,47 +181,6 @@ def _space(layout: Layout, name: str, *what: str, near: bool = False) -> rrb.Spa
         eye_controls=eye,
         line_grid=False,
     )
-
-
-def eye_for(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Place the eye so that all points (M, 3) are inside the view.
-
-    Returns:
-        position and target (3,) of the eye.
-    """
-    forward = _FORWARD / np.linalg.norm(_FORWARD)
-    right = np.cross(forward, _UP)
-    right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
-    local = points @ np.stack([right, up, forward], axis=1)
-    middle = (local.min(0) + local.max(0)) / 2
-    x, y, z = (local - middle).T
-    distance = max((np.abs(x) / (_FIELD * _ASPECT) - z).max(), (np.abs(y) / _FIELD - z).max())
-    target = np.stack([right, up, forward], axis=1) @ middle
-    return target - 1.05 * distance * forward, target
-
-
-def _seen(result: Reconstruction) -> np.ndarray:
-    """Points that the 3-D views must contain: both cameras as drawn, and the middle of the cloud.
-
-    The outermost 3 % of the cloud in each direction may lie outside.
-    """
-    view, cloud = result.two_view, result.cloud
-    depth = float(cloud.xyz[:, 2].median()) if cloud is not None and len(cloud) else 4.0
-    inside = []
-    for camera, R, t in ((view.camera1, None, None), (view.camera2, view.R, view.t)):
-        w, h = camera.size_wh
-        corners = np.array([[0, 0, 1], [w, 0, 1], [w, h, 1], [0, h, 1.0]])
-        frustum = 0.15 * depth * corners @ np.linalg.inv(camera.K).T
-        frustum = np.concatenate([np.zeros((1, 3)), frustum])
-        if R is not None:
-            frustum = (frustum - (0 if t is None else t.numpy())) @ R.numpy()
-        inside.append(frustum)
-    if cloud is not None and len(cloud):
-        low, high = np.percentile(cloud.xyz.numpy(), (3, 97), axis=0)
-        xyz = cloud.xyz.numpy()
-        inside.append(xyz[((xyz >= low) & (xyz <= high)).all(1)])
-    return np.concatenate(inside)
 
 
 def _side_by_side(layout: Layout, name: str, what: str) -> rrb.Spatial2DView:
@@ -238,8 +230,19 @@ def _keypoints(layout: Layout) -> rrb.Vertical:
         _image(layout, i, f"Image {i}: strongest, with scale and orientation", "regions/**")
         for i in (1, 2)
     ]
-    every = [_image(layout, i, f"Image {i}: all keypoints", "keypoints/**") for i in (1, 2)]
-    return rrb.Vertical(rrb.Horizontal(*regions), rrb.Horizontal(*every))
+    if layout.operators:
+        below = [
+            _image(
+                layout,
+                1,
+                f"{name}, image 1",
+                f"coverage/{rr.escape_entity_path_part(name)}",
+            )
+            for name in layout.operators
+        ]
+    else:
+        below = [_image(layout, i, f"Image {i}: all keypoints", "keypoints/**") for i in (1, 2)]
+    return rrb.Vertical(rrb.Horizontal(*regions), rrb.Grid(*below, grid_columns=min(len(below), 3)))
 
 
 def _matches(layout: Layout) -> rrb.Grid:
@@ -274,25 +277,30 @@ def _epipolar(layout: Layout) -> rrb.Vertical:
     what = ("epipolar/**", "epipole", "homography")
     root = layout.root
     charts = [
-        rrb.BarChartView(origin=f"{root}/estimation/improvements", name="Inliers per improvement"),
-        rrb.TimeSeriesView(origin=f"{root}/estimation", name="On the timeline iteration"),
+        _improvements(layout, "Inliers, one bar per improvement"),
+        rrb.TimeSeriesView(origin=f"{root}/estimation", name="Iterations"),
     ]
     return rrb.Vertical(
         rrb.Horizontal(*(_image(layout, i, f"Image {i}: epipolar lines", *what) for i in (1, 2))),
         rrb.Horizontal(
-            _space(layout, "Four poses: points in front", "poses/**", near=True),
+            _space(layout, "Four poses: points in front (green: chosen)", "poses/**", near=True),
             rrb.Tabs(
                 *(charts if layout.history else []),
-                rrb.TextDocumentView(origin=f"{root}/verdict", name="Verdict and evidence"),
+                rrb.TextDocumentView(origin=f"{root}/verdict", name="Verdict"),
                 active_tab=0,
             ),
         ),
     )
 
 
+def _improvements(layout: Layout, name: str) -> rrb.BarChartView:
+    origin = f"{layout.root}/estimation/improvements"
+    return rrb.BarChartView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False))
+
+
 def _motion(layout: Layout) -> rrb.Horizontal:
     return rrb.Horizontal(
-        _space(layout, "Four poses: points in front of both", "poses/**", near=True),
+        _space(layout, "Four poses: points in front (green: chosen)", "poses/**", near=True),
         _space(layout, "Chosen pose", "baseline", near=True),
     )
 
@@ -301,11 +309,11 @@ def _cloud(layout: Layout) -> rrb.Grid:
     views = [
         _space(layout, "Photograph", "points/photograph"),
         _space(layout, "Operator", "points/operator"),
-        _space(layout, "Density (yellow: dense)", "points/density"),
+        _space(layout, "Density: points per volume", "points/density"),
     ]
     if layout.covariance:
         what = ("points/uncertainty", "ellipsoids")
-        views.append(_space(layout, "Uncertainty (yellow: uncertain)", *what))
+        views.append(_space(layout, "Uncertainty: standard deviation", *what))
     else:
         views.append(_image(layout, 1, "Residuals, 50 times longer", "residuals"))
     return rrb.Grid(*views, grid_columns=2)
@@ -314,14 +322,14 @@ def _cloud(layout: Layout) -> rrb.Grid:
 def _triangulation(layout: Layout) -> rrb.Horizontal:
     return rrb.Horizontal(
         _space(layout, "Two rays meet in a point", "points/photograph", "rays", "baseline"),
-        _space(layout, "Parallax (yellow: large)", "points/parallax", "baseline"),
+        _space(layout, "Parallax: angle between the rays", "points/parallax", "baseline"),
     )
 
 
 def _refinement(layout: Layout) -> rrb.Horizontal:
     what = ("points/uncertainty", "ellipsoids", "refinement/**")
     return rrb.Horizontal(
-        _space(layout, "Uncertainty (yellow: uncertain) and camera 2", *what),
+        _space(layout, "Uncertainty of the points, and camera 2", *what),
         rrb.TimeSeriesView(origin=f"{layout.root}/refinement", name="Cost, on the timeline step"),
     )
 
@@ -332,7 +340,7 @@ def _robust(layout: Layout) -> rrb.Vertical:
     return rrb.Vertical(
         rrb.Horizontal(*images),
         rrb.Horizontal(
-            rrb.BarChartView(origin=f"{root}/estimation/improvements", name="Inliers"),
+            _improvements(layout, "Inliers, one bar per improvement"),
             rrb.TimeSeriesView(origin=f"{root}/estimation", name="On the timeline iteration"),
         ),
     )
@@ -347,18 +355,16 @@ def _runs(layout: Layout) -> rrb.Horizontal:
 
 
 def _account(layout: Layout) -> rrb.Horizontal:
-    root = layout.root
+    root, hidden = layout.root, rrb.PlotLegend(visible=False)
     bars = [
         rrb.BarChartView(
             origin=f"{root}/account/chart/{quantity}",
             name=quantity,
-            plot_legend=rrb.PlotLegend(visible=False),
+            plot_legend=hidden,
         )
         for quantity in QUANTITIES
     ]
-    times = rrb.BarChartView(
-        origin=f"{root}/timings", name="seconds", plot_legend=rrb.PlotLegend(visible=True)
-    )
+    times = rrb.BarChartView(origin=f"{root}/timings", name="seconds", plot_legend=hidden)
     return rrb.Horizontal(
         rrb.TextDocumentView(origin=f"{root}/summary", name="Per-operator statistics"),
         rrb.Grid(*bars, times, grid_columns=2),
@@ -368,6 +374,17 @@ def _account(layout: Layout) -> rrb.Horizontal:
 
 # what the bars of the page *Account* count
 QUANTITIES = ("keypoints", "matches", "fused", "inliers", "points")
+
+# page -> the quantities that it shows as colours, and the titles of their colour bars
+SCALES = {
+    "Keypoints": {"coverage": "Keypoints per cell"},
+    "Cloud": {
+        "density": "Points per cubic baseline",
+        "uncertainty": "Standard deviation, baselines",
+    },
+    "Triangulation": {"parallax": "Parallax, degrees"},
+    "Refinement": {"uncertainty": "Standard deviation, baselines"},
+}
 
 #: name of a page -> its views
 PAGES: dict[str, Callable[[Layout], Any]] = {

@@ -31,6 +31,7 @@ from ..types import PointCloud, TwoView, Verdict
 from ..viz.colours import operator_rgb
 from . import marks, text
 from .blueprint import QUANTITIES, default_blueprint
+from .eye import frustum_size
 from .log_cloud import log_cloud, log_rays, log_residuals, log_uncertainty, operator_colours
 from .log_geometry import log_epipolar_lines, log_homography, log_motion, log_pose
 from .log_photos import (
@@ -42,7 +43,8 @@ from .log_photos import (
 )
 from .log_steps import log_ransac
 from .read import SCHEMA
-from .stream import MAGENTA, STAGES, columns, drain, new_stream, put
+from .scales import log_legend
+from .stream import STAGES, columns, drain, new_stream, put
 from .trace import Trace, matches_to_rows, trace, trace_keypoints
 
 MAX_SURVIVORS = 2500  # dots of an image at one stage; more hide the photograph
@@ -92,8 +94,7 @@ def log_reconstruction(
     view, corr, cloud = result.two_view, result.correspondences, result.cloud
     cameras = (view.camera1, view.camera2)
     traced = trace(corr, view, cloud, result.options.estimate.threshold_px)
-    depth = float(cloud.xyz[:, 2].median()) if cloud is not None and len(cloud) else 4.0
-    frustum = 0.15 * depth
+    frustum = frustum_size(result)
     for stage, words in text.story(result).items():
         put(rec, prefix, "story", _markdown(words), stage=stage)
     log_legend(rec, corr.operators, prefix)
@@ -165,31 +166,6 @@ def log_run(
     rec.disable_timeline("run")
 
 
-def log_legend(rec: rr.RecordingStream, operators: Sequence[str], prefix: str = "") -> None:
-    """Log the legend: the name of every operator in its colour, and other marks.
-
-    Class id k of an annotation context stands for ``operators[k]``.
-    """
-    infos = [rr.AnnotationInfo(k, name, operator_rgb(name)) for k, name in enumerate(operators)]
-    put(rec, prefix, "", rr.AnnotationContext(infos))
-    names = [*operators, "outlier", "other geometry"]
-    colours = [*map(operator_rgb, operators), (128, 128, 128), MAGENTA]
-    # One row of bars, each as wide as its name in units of a character; the viewer writes names
-    # below. It fits the view to the marks without their names, so a transparent bar makes room.
-    widths = np.array([len(name) + 5.0 for name in names])
-    x = np.append(np.cumsum(widths) - widths / 2, widths.sum() / 2)
-    y = np.append(np.zeros(len(names)), 2.2)
-    swatches = rr.Boxes2D(
-        centers=np.column_stack([x, y]),
-        half_sizes=np.column_stack([np.append(widths / 2 - 0.5, 0.1), np.full(len(x), 0.15)]),
-        colors=[*((*colour, 255) for colour in colours), (0, 0, 0, 0)],
-        labels=[*names, ""],
-        show_labels=True,
-        radii=rr.Radius.ui_points(1.5),
-    )
-    put(rec, prefix, "legend", swatches)
-
-
 def log_account(
     rec: rr.RecordingStream, account: Mapping[str, OperatorAccount], prefix: str = ""
 ) -> None:
@@ -207,8 +183,11 @@ def log_account(
 
 
 def log_timings(rec: rr.RecordingStream, timings_s: Mapping[str, float], prefix: str = "") -> None:
-    """Log the seconds of each stage, one bar per stage."""
-    for k, (stage, seconds) in enumerate(s for s in timings_s.items() if s[0] != "total"):
+    """Log the seconds of each stage, one bar per stage, at the stage's number."""
+    for stage, seconds in timings_s.items():
+        if stage not in STAGES:
+            continue
+        k = STAGES.index(stage)
         colour = tuple(int(255 * c) for c in colormaps["cividis"](k / 7)[:3])
         chart = rr.BarChart(np.array([seconds]), abscissa=np.array([k]), color=colour)
         put(rec, prefix, ["timings", stage], chart)
@@ -408,7 +387,9 @@ def _log_current(
     prefix: str,
 ) -> None:
     """A sample of the matches at a stage, side by side; the next stage replaces it."""
-    some = marks.spread(x[0], MAX_CURRENT)
+    # In a random order, because the sample takes the first matches of every cell.
+    order = np.random.default_rng(0).permutation(len(names))
+    some = order[marks.spread(x[0][order], MAX_CURRENT)]
     width1 = result.two_view.camera1.size_wh[0]
     lines = side_by_side(x[0][some], x[1][some], width1, operator_colours(names[some]))
     put(rec, prefix, "matches/current", lines, stage=stage)

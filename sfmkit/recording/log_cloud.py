@@ -13,6 +13,7 @@ from ..types import PointCloud
 from ..viz.colours import operator_rgb
 from . import marks
 from .log_photos import MULTI
+from .scales import log_scale, percentile_ticks
 from .stream import Details, columns, dot_radius, points_2d, put, ramp, strokes
 from .trace import joined_names
 
@@ -53,10 +54,16 @@ def log_cloud(
     if parallax_deg is not None:
         own.setdefault("parallax_deg", parallax_deg)
     own = {"point": np.arange(len(xyz)), **own}
+    density = marks.neighbour_density(xyz) if len(xyz) > 1 else None
+    if density is not None:
+        log_scale(rec, "density", percentile_ticks(density, logarithmic=True), prefix)
+    if parallax_deg is not None and len(xyz):
+        ticks = percentile_ticks(np.asarray(parallax_deg), logarithmic=False)
+        log_scale(rec, "parallax", ticks, prefix)
     layers = {
         "photograph": rgb,
         "operator": operator_colours(names),
-        "density": ramp(np.log(marks.neighbour_density(xyz))) if len(xyz) > 1 else None,
+        "density": None if density is None else ramp(np.log(density)),
         "parallax": None if parallax_deg is None else ramp(np.asarray(parallax_deg)),
     }
     for layer, colours in layers.items():
@@ -166,6 +173,8 @@ def log_uncertainty(
     sigma = marks.largest_sigma(C)
     own = {"point": np.arange(len(xyz)), **own, "sigma": sigma}
     colours = ramp(np.log(np.maximum(sigma, 1e-12)))
+    ticks = percentile_ticks(np.maximum(sigma, 1e-12), logarithmic=True)
+    log_scale(rec, "uncertainty", ticks, prefix)
     dots = rr.Points3D(xyz, colors=colours, radii=dot_radius(len(xyz)))
     put(rec, prefix, "world/points/uncertainty", dots, columns(**own), stage="triangulate")
     some = marks.spread(xyz[:, :2] / xyz[:, 2:], sample)

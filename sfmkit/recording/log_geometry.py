@@ -78,10 +78,18 @@ def log_epipolar_lines(
                 mine[rows],
                 colors=colours,
                 radii=rr.Radius.ui_points(4),
+                show_labels=False,
+            )
+            put(rec, prefix, f"{at}/points", dots, columns(match=rows, **own), stage="estimate")
+            # A number has the colour of its mark, and light colours cannot be read.
+            numbers = rr.Points2D(
+                mine[rows],
+                colors=(20, 20, 20),
+                radii=rr.Radius.ui_points(0.5),
                 show_labels=True,
                 labels=[str(n + 1) for n in range(len(rows))],
             )
-            put(rec, prefix, f"{at}/points", dots, columns(match=rows, **own), stage="estimate")
+            put(rec, prefix, f"{at}/numbers", numbers, stage="estimate")
     for number, e in enumerate(epipoles(F), start=1):
         if abs(float(e[2])) > _FAR:
             dot = rr.Points2D(
@@ -179,11 +187,14 @@ def log_motion(
     chosen_R, chosen_t = (torch.as_tensor(np.asarray(p), dtype=torch.float64) for p in pose)
     for number, ((R, t), in_front) in enumerate(zip(poses, counts), start=1):
         off = float((R - chosen_R).abs().max()) + float((t - chosen_t).abs().max())
-        _log_candidate(
-            rec, number, R, t, cameras[1], in_front, len(a), off < _SAME_POSE, frustum, prefix
-        )
+        _log_candidate(rec, number, R, t, cameras[1], in_front, off < _SAME_POSE, frustum, prefix)
     log_pose(rec, chosen_R, chosen_t, prefix=prefix)
     return counts[0], counts[1], counts[2], counts[3]
+
+
+def label_height(number: int, frustum: float) -> float:
+    """Height of the label of pose 1 to 4 above the centre of its camera, baselines."""
+    return (0.9 + 0.45 * number) * frustum
 
 
 def _log_candidate(
@@ -193,7 +204,6 @@ def _log_candidate(
     t: Any,
     camera: Camera,
     in_front: int,
-    total: int,
     chosen: bool,
     frustum: float,
     prefix: str,
@@ -202,13 +212,16 @@ def _log_candidate(
     colour, at = GREEN if chosen else GREY, f"world/poses/{number}"
     put(rec, prefix, at, _place(R, t), stage="pose")
     put(rec, prefix, f"{at}/frustum", pinhole(camera, frustum, color=colour), stage="pose")
-    # Two of the poses share a centre and two look the same way, so every label gets its own height
-    # above the camera.
+    # Two of the poses share a centre, so every label gets its own height above it, in the frame of
+    # camera 1: two of the poses are upside down.
+    stem = R.numpy() @ [0, -label_height(number, frustum), 0]
+    line = rr.LineStrips3D([[[0, 0, 0], stem]], colors=colour, radii=rr.Radius.ui_points(0.5))
+    put(rec, prefix, f"{at}/stem", line, stage="pose")
     dot = rr.Points3D(
-        [[0, -0.8 * frustum * (number - 2.5), frustum]],
+        [stem],
         colors=colour,
         radii=rr.Radius.ui_points(5),
-        labels=f"pose {number}: {in_front:,} of {total:,}{' (chosen)' if chosen else ''}",
+        labels=f"pose {number}: {in_front:,}",
         show_labels=True,
     )
     own = columns(in_front=[in_front], chosen=[chosen])

@@ -13,7 +13,8 @@ from ..io.images import Image
 from ..types import Camera, Correspondences, Features, Matches
 from ..viz.colours import operator_rgb
 from . import marks
-from .stream import GREY, Cameras, Details, beside, columns, pinhole, points_2d, put, strokes
+from .scales import log_coverage
+from .stream import GREY, Cameras, Details, Size, beside, columns, pinhole, points_2d, put, strokes
 
 JPEG_QUALITY = 80
 MAX_WIDTH = 1280  # pixels of a photograph in the side-by-side views, which are about that wide
@@ -78,13 +79,15 @@ def log_keypoints(
     scores: Any = None,
     camera: Camera | None = None,
     details: Details | None = None,
+    size_wh: Size | None = None,
     max_regions: int = 300,
     prefix: str = "",
 ) -> None:
     """Log the keypoints of one operator in one image, in the operator's colour.
 
-    All keypoints are logged as dots. The neighbourhoods that are described (`scales`) and their
-    orientations (`angles`) are drawn for an even sample of the strongest.
+    All keypoints are logged as dots, and their number per cell as shades. The neighbourhoods that
+    are described (`scales`) and their orientations (`angles`) are drawn for an even sample of the
+    strongest.
 
     Args:
         image: 1 or 2.
@@ -95,6 +98,7 @@ def log_keypoints(
         scores: (N,) responses, larger is stronger.
         camera: its distortion is removed from the pixels.
         details: further columns, (N,) or (N, d) each.
+        size_wh: size of the image, for the shades; default that of the features or of `camera`.
         max_regions: number of neighbourhoods drawn.
 
     Raises:
@@ -104,7 +108,7 @@ def log_keypoints(
         raise InputError(f"image must be 1 or 2, not {image!r}")
     if isinstance(xy, Features):
         f = xy
-        operator = operator or f.operator
+        operator, size_wh = operator or f.operator, size_wh or f.size_wh
         xy, scales, angles, scores = f.keypoints, f.scales, f.angles, f.scores
     name = operator or MULTI
     x = marks.ideal_pixels(points_2d("xy", xy), camera)
@@ -121,6 +125,10 @@ def log_keypoints(
             raise InputError(f"{key} has {len(value)} values for {len(x)} keypoints")
     dots = rr.Points2D(x, colors=colour, radii=dot_size(len(x)))
     put(rec, prefix, [at, "keypoints", name], dots, columns(**own), stage="detect")
+    if size_wh is None and camera is not None:
+        size_wh = camera.size_wh
+    if size_wh is not None:
+        log_coverage(rec, image, x, size_wh, name, prefix)
     some = marks.spread_strongest(x, scores, max_regions)
     if scales is not None:
         half = np.asarray(scales)[some, None] / 2

@@ -25,7 +25,8 @@ from ..io.images import Image
 from ..pipeline.reconstruction import Reconstruction
 from ..pipeline.registration import Registration
 from . import marks
-from .log import log_legend, log_run
+from .log import log_run
+from .scales import log_legend
 from .stream import GREY, MAGENTA, drain, new_stream, put, strokes
 
 MAX_LINES = 80  # per operator, spread evenly over image 1

@@ -40,7 +40,11 @@ def account_markdown(account: Mapping[str, OperatorAccount]) -> str:
 def timings_markdown(timings_s: Mapping[str, float]) -> str:
     """Format the seconds of each stage as a table."""
     return table(
-        ("stage", "seconds"), [(name, f"{seconds:.2f}") for name, seconds in timings_s.items()]
+        ("stage", "seconds"),
+        [
+            (f"{STAGES.index(name)} {name}" if name in STAGES else name, f"{seconds:.2f}")
+            for name, seconds in timings_s.items()
+        ],
     )
 
 

@@ -66,6 +66,34 @@ def test_keypoints_of_plain_arrays(rec, tmp_path):
     np.testing.assert_allclose(np.linalg.norm(ticks[:, 1] - ticks[:, 0], axis=1), 3, rtol=1e-4)
 
 
+def test_keypoints_are_counted_per_cell_and_the_colour_bar_has_the_numbers(rec, tmp_path):
+    # Cells of 8 px in an image of 320 x 240: 200 keypoints in one, 10 in another, none elsewhere.
+    x = np.concatenate([np.full((200, 2), (4.0, 12.0)), np.full((10, 2), (315.0, 235.0))])
+    recording.log_keypoints(rec, 1, x, operator="mine", size_wh=SIZES[0])
+    written = read(rec, tmp_path)
+    assert SIZES[0] == (320, 240)
+    at = "/world/cam1/image/coverage/mine"
+    shades = np.array(written.latest(at)["SegmentationImage:buffer"][0]).reshape(30, 40)
+    assert np.argwhere(shades).tolist() == [[1, 0], [29, 39]]
+    assert shades[1, 0] == 64
+    assert shades[29, 39] == np.ceil(64 * np.log(11) / np.log(201))
+    np.testing.assert_allclose(written.latest(at)["Transform3D:scale"][0], [8, 8, 1])
+    words = written.latest("/scale/coverage/ticks")["Points2D:labels"]
+    assert list(words) == ["1", "10", "50", "\u2265 200"]
+
+
+def test_the_colour_bar_of_the_parallax_has_its_percentiles(rec, tmp_path):
+    g = np.random.default_rng(0)
+    parallax = g.uniform(1, 5, 500)
+    recording.log_cloud(rec, g.uniform(1, 2, (500, 3)), parallax_deg=parallax)
+    words = read(rec, tmp_path).latest("/scale/parallax/ticks")["Points2D:labels"]
+    low, high = np.percentile(parallax, (5, 95))
+    expected = [low, (low + high) / 2, high]
+    np.testing.assert_allclose(
+        [float(w.strip("\u2264\u2265 ")) for w in words], expected, atol=0.05
+    )
+
+
 def test_few_neighbourhoods_are_drawn_and_spread_over_the_image(rec, tmp_path):
     g = np.random.default_rng(0)
     crowd = g.normal(50, 3, (2000, 2))  # strong keypoints in one place

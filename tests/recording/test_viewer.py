@@ -87,7 +87,13 @@ PAGES: dict[str, dict[str, Box]] = {
     ),
     **{
         page: grid(["view 1", "view 2", "view 3", "view 4"], 2)
-        for page in ("Keypoints", "Matches", "Epipolar geometry", "Cloud")
+        for page in ("Matches", "Epipolar geometry", "Cloud")
+    },
+    "Keypoints": {
+        **above_the_legend({"image 1": (0, 0, 0.5, 0.5), "image 2": (0.5, 0, 1, 0.5)}),
+        **above_the_legend(
+            {name: (k / 3, 0.5, (k + 1) / 3, 1) for k, name in enumerate(OPERATORS)}
+        ),
     },
     "Account": {
         **above_the_legend({"account": (0, 0, 0.6, 1)}),
