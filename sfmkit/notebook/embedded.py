@@ -22,12 +22,14 @@ from ..recording.embedded import ExplorerViewer, RecordingViewer
 FOLDER = Path("out")  # where a notebook writes its recording
 STORY = "story"  # the recordings of all lessons in one
 PLANE = "plane"  # prefix of the lesson on homographies, whose photographs are others
+FLOOR = "floor"  # prefix of the tiled floor, whose motion is ambiguous
 STORY_PAGES = (
     "Keypoints",
     "Fusion",
     ("Homography", Layout(prefix=PLANE)),
     "Epipolar geometry",
     "Motion",
+    ("Rivals", Layout(prefix=FLOOR)),
     "Triangulation",
     "Cloud",
     "Refinement",
@@ -85,7 +87,12 @@ def recording_viewer(
     return NotebookExplorer(result, width=width, height=height)
 
 
-def save_lesson(rec: Any, name: str, pages: Sequence[str], layout: Layout | None = None) -> Path:
+def save_lesson(
+    rec: Any,
+    name: str,
+    pages: Sequence[str | tuple[str, Layout]],
+    layout: Layout | None = None,
+) -> Path:
     """Write what was logged to ``out/NAME.rrd``, and print the command that opens it.
 
     The recordings of all notebooks whose streams have the same name are also merged to
@@ -116,7 +123,7 @@ def save_lesson(rec: Any, name: str, pages: Sequence[str], layout: Layout | None
 def show_recording(
     rec: Any,
     name: str,
-    pages: Sequence[str],
+    pages: Sequence[str | tuple[str, Layout]],
     layout: Layout | None = None,
     *,
     height: Any = 560,

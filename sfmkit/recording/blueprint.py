@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -208,8 +208,8 @@ def _overview(layout: Layout) -> rrb.Horizontal:
             row_shares=[3, 2],
         ),
         rrb.Vertical(
-            _image(layout, 1, "Image 1: what is left at this stage", *left),
-            _image(layout, 2, "Image 2: what is left at this stage", *left),
+            _image(layout, 1, "Image 1 at this stage", *left),
+            _image(layout, 2, "Image 2 at this stage", *left),
             rrb.TextDocumentView(origin=f"{layout.root}/story", name="Stage"),
             row_shares=[8, 8, 7],
         ),
@@ -305,6 +305,14 @@ def _motion(layout: Layout) -> rrb.Horizontal:
     )
 
 
+def _rivals(layout: Layout) -> rrb.Horizontal:
+    views = []
+    for name, title in (("best", "Best motion"), ("rival", "Rival: another motion that fits")):
+        own = replace(layout, prefix=f"{layout.prefix}/{name}")
+        views.append(_space(own, title, "points/operator", "baseline"))
+    return rrb.Horizontal(*views)
+
+
 def _cloud(layout: Layout) -> rrb.Grid:
     views = [
         _space(layout, "Photograph", "points/photograph"),
@@ -397,6 +405,7 @@ PAGES: dict[str, Callable[[Layout], Any]] = {
     "Robust estimation": _robust,
     "Epipolar geometry": _epipolar,
     "Motion": _motion,
+    "Rivals": _rivals,
     "Triangulation": _triangulation,
     "Cloud": _cloud,
     "Refinement": _refinement,

@@ -57,7 +57,12 @@ LOGGED = {
         for image in (IMAGE1, IMAGE2)
         for what in ("epipolar/lines", "epipolar/points", "epipole")
     ],
-    "05_motion": [*(f"/world/poses/{k}/count" for k in range(1, 5)), "/world/cam2"],
+    "05_motion": [
+        *(f"/world/poses/{k}/count" for k in range(1, 5)),
+        "/world/cam2",
+        *(f"/floor/{name}/world/cam2" for name in ("best", "rival")),
+        *(f"/floor/{name}/world/points/operator" for name in ("best", "rival")),
+    ],
     "06_triangulation": ["/world/points/photograph", "/world/points/parallax", "/world/rays"],
     "07_differentiable_geometry": [
         "/world/ellipsoids",

@@ -236,10 +236,13 @@ function drawPhoto(i) {
     context.lineWidth = 1;
   }
 }
-function show(life, operator, at) {
+function told(life) {
   const width = Math.max(...life.steps.map(([stage]) => stage.length));
   const lines = life.steps.map(([stage, text]) => `  ${stage.padEnd(width)}  ${text}`);
-  element("life").textContent = [`${life.title}: ${life.fate}`, ...lines].join("\n");
+  return [`${life.title}: ${life.fate}`, ...lines].join("\n");
+}
+function show(life, operator, at) {
+  element("life").textContent = told(life);
   state.chosen = { operator, at };
   state.point = life.row >= 0 ? matches.point[life.row] : -1;
   redraw();
