@@ -256,7 +256,11 @@ def cloud_figure(
     if cameras is not None:
         for number, (x, _, z) in enumerate(np.asarray(cameras), start=1):
             axes[1].plot(x, z, "^", ms=8, color="black")
-            axes[1].annotate(f"camera {number}", (x, z), (6, 4), textcoords="offset points")
+            # Outwards, because the cameras are close to each other.
+            side, where = (-7, "right") if x < np.mean(np.asarray(cameras)[:, 0]) else (7, "left")
+            axes[1].annotate(
+                f"camera {number}", (x, z), (side, 3), textcoords="offset points", ha=where
+            )
     if colour is not None:
         figure.colorbar(dots, ax=axes, label=label)
     return figure
