@@ -21,6 +21,7 @@ from .types import FrozenMapping
 
 Preset = Literal["default", "paper", "dense"]
 ModelKind = Literal["essential", "fundamental"]
+FocalChoice = Literal["estimate", "fixed"]
 
 
 def _check_positive(name: str, value: float) -> None:
@@ -97,6 +98,8 @@ class EstimateOptions:
         max_iterations: Maximum number of samples.
         refine: Whether to refine the pose, and then the pose and the points together, on the
             inliers.
+        focal: ``estimate`` estimates focal lengths that are guessed, or about which EXIF disagrees,
+            from the matches where these determine them better; ``fixed`` keeps them.
         overrides: The estimator's own options: keywords that are not part of the contract of
             :class:`sfmkit.estimation.Estimator`.
     """
@@ -108,11 +111,14 @@ class EstimateOptions:
     confidence: float = 0.9999
     max_iterations: int = 10_000
     refine: bool = True
+    focal: FocalChoice = "estimate"
     overrides: Mapping[str, Any] = field(default_factory=FrozenMapping)
 
     def __post_init__(self) -> None:
         if self.model not in ("essential", "fundamental"):
             raise InputError(f"model must be 'essential' or 'fundamental', not {self.model!r}")
+        if self.focal not in ("estimate", "fixed"):
+            raise InputError(f"focal must be 'estimate' or 'fixed', not {self.focal!r}")
         _check_positive("threshold_px", self.threshold_px)
         if not 0 < self.confidence < 1:
             raise InputError(f"confidence must lie between 0 and 1, not {self.confidence}")
@@ -189,12 +195,14 @@ def adjust_preset(
     threshold_px: float | None = None,
     budget: int | None = None,
     max_size: int | None = None,
+    focal: FocalChoice | None = None,
 ) -> Options:
     """Return the options of a preset with some values replaced.
 
     Args:
         preset: A key of :data:`PRESETS`.
-        backend, threshold_px: Values of :class:`EstimateOptions`; None keeps those of the preset.
+        backend, threshold_px, focal: Values of :class:`EstimateOptions`; None keeps those of the
+            preset.
         budget, max_size: Values of :class:`DetectOptions`; None keeps those of the preset.
 
     Raises:
@@ -208,6 +216,8 @@ def adjust_preset(
         estimate = estimate.with_backend(backend)
     if threshold_px is not None:
         estimate = replace(estimate, threshold_px=threshold_px)
+    if focal is not None:
+        estimate = replace(estimate, focal=focal)
     if budget is not None:
         detect = replace(detect, budget=budget)
     if max_size is not None:
@@ -246,6 +256,7 @@ PAPER = Options(
         threshold_px=3.0,
         confidence=0.999999,
         refine=False,
+        focal="fixed",
     ),
     planar=PlanarOptions(method="ransac", guided=False),
     triangulate=TriangulateOptions(method="dlt"),

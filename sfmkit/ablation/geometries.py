@@ -60,7 +60,9 @@ def make_geometry(task: PairTask, features: Mapping[str, FeaturePair], masks: Ma
         fused = represent(matched, leader)
         seen = within_the_field(fused, *task.cameras)
         rows = kept[_rows_of(seen, fused)]
-        view, _ = estimate_geometry(seen, task.cameras, task.estimate, seed=task.seed)
+        # Photographs of a folder share their cameras, which the mapper refines over all pairs.
+        estimate = replace(task.estimate, focal="fixed")
+        view, _ = estimate_geometry(seen, task.cameras, estimate, seed=task.seed)
         seconds["estimate"] = time.process_time() - began
     fits = np.zeros(len(leader), dtype=bool)
     fits[rows[view.inliers.numpy()]] = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -56,6 +56,12 @@ OPERATORS = "surf,orb,fast-brief"
 )
 @click.option(
     "--threshold", type=POSITIVE, metavar="PX", help="Inlier distance to the epipolar line, pixels."
+)
+@click.option(
+    "--focal",
+    type=click.Choice(["estimate", "fixed"]),
+    help="Estimate a focal length that is guessed, or about which EXIF disagrees, from the "
+    "matches, or keep it.  [default: the preset's]",
 )
 @click.option(
     "--budget",
@@ -111,6 +117,7 @@ def reconstruct(
     preset: str,
     backend: str | None,
     threshold: float | None,
+    focal: Literal["estimate", "fixed"] | None,
     budget: int | None,
     max_size: int | None,
     device: str | None,
@@ -139,7 +146,12 @@ def reconstruct(
 
         pose = None if truth is None else read_truth(truth, Path(image1), Path(image2))
         options = adjust_preset(
-            preset, backend=backend, threshold_px=threshold, budget=budget, max_size=max_size
+            preset,
+            backend=backend,
+            threshold_px=threshold,
+            budget=budget,
+            max_size=max_size,
+            focal=focal,
         )
         result = run(
             image1,

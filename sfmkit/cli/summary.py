@@ -105,7 +105,7 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             "residual",
             f"{report['reprojection_rmse_px']:.3f} px root mean square reprojection error",
         )
-    facts.add_row("camera", " | ".join(dict.fromkeys(c["source"] for c in report["camera"])))
+    facts.add_row("camera", " | ".join(dict.fromkeys(map(_camera, report["camera"]))))
     facts.add_row("time", ", ".join(f"{k} {v:.2f} s" for k, v in report["timings_s"].items()))
     for warning in report["warnings"]:
         facts.add_row("warning", warning)
@@ -116,6 +116,12 @@ def print_summary(report: dict[str, Any], folder: Path) -> None:
             files.add_row(str(folder / name), what)
     console.print()
     console.print(files)
+
+
+def _camera(camera: dict[str, Any]) -> str:
+    """Where the focal length of a camera came from, and how certain it is."""
+    focal, sigma = camera["K"][0][0], camera["sigma"]["focal"]
+    return f"{camera['source']}: focal length {focal:.0f} px, standard deviation {sigma:.1%}"
 
 
 def _angle(R: list[list[float]]) -> float:

@@ -2,6 +2,7 @@
 they mean."""
 
 from .adjust import Adjustment, adjust
+from .focal import FocalEstimate, estimate_focal, estimate_with_focal
 from .plugins import (
     ESTIMATOR_PLUGINS,
     Estimator,
@@ -16,10 +17,13 @@ __all__ = [
     "ESTIMATOR_PLUGINS",
     "Adjustment",
     "Estimator",
+    "FocalEstimate",
     "RobustModel",
     "adjust",
     "check_estimator",
+    "estimate_focal",
     "estimate_two_view",
+    "estimate_with_focal",
     "register_estimator",
     "run_estimator",
     "undistorted_pixels",

@@ -68,7 +68,7 @@ def pose_uncertainty(
     regions = jackknife_covariance(sensitivity, image_blocks(x1, cameras[0].size_wh))
     if not bool(torch.isfinite(regions).all()):
         regions = independent.pose
-    sigma1, sigma2 = (_sigmas(camera) for camera in cameras)
+    sigma1, sigma2 = (intrinsics_sigmas(camera) for camera in cameras)
     shared = _same(*cameras)
     of_cameras = camera_covariance(sensitivity, sigma1, sigma2, shared)
     points = point_covariances(
@@ -90,7 +90,7 @@ def pose_uncertainty(
     )
 
 
-def _sigmas(camera: Camera) -> Tensor:
+def intrinsics_sigmas(camera: Camera) -> Tensor:
     """(4,) standard deviations of a camera in the order of ``block_covariance.INTRINSICS``."""
     sigma = camera.uncertainty
     return torch.tensor(

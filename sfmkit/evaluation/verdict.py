@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import as_completed
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -160,7 +161,8 @@ def evaluate_pair(pair: BenchPair, operators: Sequence[str]) -> list[Row]:
         "matches": len(corr),
     }
     began = time.perf_counter()
-    view, _ = estimate_geometry(corr, cameras, DEFAULT.estimate)
+    options = replace(DEFAULT.estimate, focal="fixed")  # all methods have the same cameras
+    view, _ = estimate_geometry(corr, cameras, options)
     rows = [
         where
         | {

@@ -75,8 +75,8 @@ def camera_from_exif(image: Image | ImageHeader) -> Camera:
         focal = GUESSED_FOCAL * max(w, h)
         _warn(
             f"the focal length of {image.name} is GUESSED as {focal:.0f} px ({GUESSED_FOCAL} x the "
-            "longest side): the metadata have none; pose and cloud are as wrong as this guess. "
-            f"{_ADVICE}"
+            "longest side): the metadata have none; pose and cloud are as wrong as this guess, "
+            f"unless the matches determine the focal length. {_ADVICE}"
         )
         return centred_camera(focal, image.size_wh, "guessed")
     group = _largest_group(sources)

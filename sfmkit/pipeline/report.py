@@ -44,6 +44,11 @@ def _camera(camera: Camera) -> dict[str, Any]:
         "distortion": _numbers(camera.distortion),
         "size_wh": list(camera.size_wh),
         "source": camera.source,
+        "sigma": {
+            "focal": camera.uncertainty.focal,
+            "principal_point_px": camera.uncertainty.principal_point,
+            "k1": camera.uncertainty.k1,
+        },
     }
 
 

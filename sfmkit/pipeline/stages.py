@@ -26,7 +26,7 @@ from ..estimation import (
     Adjustment,
     adjust,
     check_estimator,
-    estimate_two_view,
+    estimate_with_focal,
     undistorted_pixels,
 )
 from ..features import OPERATOR_PLUGINS, detect
@@ -274,7 +274,8 @@ def estimate_geometry(
 
     Args:
         corr: N correspondences in pixels of the photographs.
-        cameras: Cameras of image 1 and image 2.
+        cameras: Cameras of image 1 and image 2; those of the geometry may have estimated focal
+            lengths.
         options: Options of the estimation; ``refine=False`` switches the refinement off.
         seed: The same seed gives the same result on the same machine.
         device: Torch device, for estimators with such a parameter.
@@ -285,7 +286,7 @@ def estimate_geometry(
     """
     options, watch = options or EstimateOptions(), watch or Stopwatch()
     with watch.stage("estimate", "epipolar geometry and pose"):
-        view = estimate_two_view(corr, *cameras, options, seed=seed, device=device)
+        view = estimate_with_focal(corr, *cameras, options, seed=seed, device=device)
     if not options.refine:
         return view, None
     with watch.stage("refine", "pose and points together"):

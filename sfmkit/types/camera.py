@@ -84,7 +84,8 @@ class Camera:
             (radial and tangential, rational, thin prism, tilt); the first 5, 8, 12 or 14 are
             stored, as few as contain all non-zero numbers. For ``fisheye``, the four numbers
             ``k1 k2 k3 k4`` of OpenCV's fisheye model (Kannala and Brandt 2006).
-        source: Origin of the focal length: ``given``, ``exif: ...`` or ``guessed``.
+        source: Origin of the focal length: ``given``, ``exif: ...``, ``guessed``, or ``estimated,
+            from ...`` with the source of the initial value.
         model: ``opencv`` or ``fisheye``; see :mod:`sfmkit.geometry.distortion`.
         sigma: Standard deviations of the intrinsics; None for the default of `source`, see
             :attr:`uncertainty`.
