@@ -11,8 +11,8 @@ import numpy as np
 import PIL.Image
 from small_sweep import InlineEngine
 
+from sfmkit.ablation import engine_choice as module
 from sfmkit.mapping import MatchedFolder, Workshop, match_folder
-from sfmkit.mapping import matched_folder as module
 from sfmkit.options import DEFAULT
 
 SIZE = (320, 240)

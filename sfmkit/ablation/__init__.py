@@ -1,5 +1,4 @@
-"""Which operators help, where, and by how much: every combination on every pair, cached, resumable,
-local or on a cluster.
+"""Ablations: every combination of operators on every pair, cached, resumable, also on a cluster.
 
 >>> from sfmkit.ablation import ablate
 >>> table = ablate("planes", ["surf", "orb", "sift"], seeds=3, out="out/ablation")

@@ -1,21 +1,19 @@
-"""A list of tasks carried out by an engine: what is cached is not computed again."""
+"""Run a list of tasks; cached results are not computed again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from ..errors import InputError, OutputError
 from .cache import Cache
+from .driving import drive
 from .engines import Engine
 from .plan import cost
 from .scheduling import Agenda
 from .tasks import EstimateTask, Task
-from .worker import Parcel
+from .worker import Outcome, Parcel
 
 __all__ = ["BatchState", "run_batch"]
-
-_TIDY_EVERY = 500  # outcomes
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class BatchState:
 
 @dataclass
 class _Clock:
-    """The time that is left, from rough costs and the measured seconds of what was done."""
+    """The time left, from rough costs and the measured seconds of the finished tasks."""
 
     left: float
     slots: int = 1
@@ -47,7 +45,7 @@ class _Clock:
     counted: set[str] = field(default_factory=set)
 
     def passed(self, task: Task, seconds: float | None) -> None:
-        """Count a task that was done in some seconds, or found in the cache (None)."""
+        """Count a task that took some seconds, or was in the cache (None)."""
         if task.key in self.counted:
             return
         self.counted.add(task.key)
@@ -74,7 +72,7 @@ def run_batch(
     start: Callable[[], Engine],
     watch: Callable[[BatchState], None],
 ) -> dict[str, str]:
-    """Carry out tasks and what they need, each once.
+    """Run tasks and what they need, each once.
 
     The results are in the cache. The tasks are drawn from the iterator when a worker is free, so a
     long list is never in memory.
@@ -96,8 +94,7 @@ def run_batch(
         OutputError: The disk is full. What was done is kept.
     """
     clock = _Clock(seconds)
-    notes: list[str] = []
-    done = outcomes = running = 0
+    done = 0
 
     def is_there(task: Task) -> bool:
         found = cache.has(task.kind, task.key)
@@ -106,48 +103,31 @@ def run_batch(
         return found
 
     agenda = Agenda(is_there, _no_estimates)
-    wanted: set[str] = set()  # keys of tasks of the list that are under way
-    engine: Engine | None = None
-    try:
-        while True:
-            slots = 1 if engine is None else engine.slots
-            while running < slots:
-                while len(agenda) < slots and (task := next(tasks, None)) is not None:
-                    if agenda.want(task, done + len(wanted)):
-                        done += 1
-                        watch(BatchState(done, total, str(task), clock.seconds_left))
-                    else:
-                        wanted.add(task.key)
-                if not len(agenda):
-                    break
-                if engine is None:
-                    engine = start()
-                    slots = clock.slots = engine.slots
-                engine.submit(agenda.pop(), Parcel())
-                running += 1
-            if engine is None or not running:
-                break
-            task, outcome = engine.next()
-            running -= 1
-            outcomes += 1
-            notes += outcome.notes
-            if outcome.status == "full":
-                raise OutputError(outcome.reason)
-            if outcome.status == "refused":
-                raise InputError(outcome.reason)
-            agenda.finished(task, outcome.reason)
-            clock.passed(task, outcome.seconds)
-            settled = {key for key in wanted if key in agenda.failed or key == task.key}
-            wanted -= settled
-            done += len(settled)
-            watch(BatchState(done, total, str(task), clock.seconds_left, tuple(notes)))
-            notes.clear()
-            if outcomes % _TIDY_EVERY == 0:
-                cache.tidy()
-    finally:
-        if engine is not None:
-            engine.close()
-    cache.tidy()
+    wanted: set[str] = set()  # keys of tasks of the list that are not finished
+
+    def feed() -> bool:
+        nonlocal done
+        task = next(tasks, None)
+        if task is None:
+            return False
+        if agenda.want(task, done + len(wanted)):
+            done += 1
+            watch(BatchState(done, total, str(task), clock.seconds_left))
+        else:
+            wanted.add(task.key)
+        return True
+
+    def take(task: Task, outcome: Outcome, slots: int) -> None:
+        nonlocal done, wanted
+        agenda.finished(task, outcome.reason)
+        clock.slots = slots
+        clock.passed(task, outcome.seconds)
+        settled = {key for key in wanted if key in agenda.failed or key == task.key}
+        wanted -= settled
+        done += len(settled)
+        watch(BatchState(done, total, str(task), clock.seconds_left, outcome.notes))
+
+    drive(agenda, cache, start, feed, lambda engine, task: Parcel(), take)
     return agenda.failed
 
 

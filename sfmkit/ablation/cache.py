@@ -22,7 +22,7 @@ from .objects import Found, open_objects
 VARIABLE = "SFMKIT_CACHE"
 DEFAULT_LIMIT = 8 << 30  # bytes
 KINDS = ("features", "matches", "estimates", "geometries", "pairs")
-_ROOM = 0.9  # of the limit is left after tidying, so that it is not done for every file
+_ROOM = 0.9  # share of the limit after tidying, so that tidying is rare
 
 
 def default_cache() -> str:
@@ -88,7 +88,7 @@ class Cache:
 
     @contextmanager
     def token(self) -> Iterator[str]:
-        """Store an object for a moment, by whose name others test that they see this cache."""
+        """Store an object for the duration of the block, for the test :meth:`sees`."""
         name = f"token-{secrets.token_hex(8)}"
         with self._writing():
             self._objects.write(name, b"")
@@ -99,7 +99,7 @@ class Cache:
                 self._objects.remove(name)
 
     def sees(self, token: str) -> bool:
-        """Return whether this is the cache of a token."""
+        """Return whether this cache has the object of a token."""
         try:
             return self._objects.has(token)
         except OSError:
@@ -115,13 +115,13 @@ class Cache:
             return self._objects.has(self.name(kind, key))
 
     def get_bytes(self, kind: str, key: str) -> bytes | None:
-        """What is stored, unread, or None. Counts as use."""
+        """Return the bytes of an entry, or None. Counts as use."""
         with self._reading(kind, key):
             return self._objects.read(self.name(kind, key))
 
     def get(self, kind: str, key: str, warn: Callable[[str], None] | None = None) -> Entry | None:
-        """The entry, or None where there is none. A damaged one is removed, said to `warn`, and
-        counts as none."""
+        """The entry, or None where there is none. A damaged one is removed and reported to
+        `warn`."""
         data = self.get_bytes(kind, key)
         if data is None:
             return None
@@ -129,7 +129,7 @@ class Cache:
             return Entry.from_bytes(data, key)
         except DamagedEntry as error:
             if warn is not None:
-                warn(f"cache entry {kind}/{key[:12]} is {error}; it is made again")
+                warn(f"cache entry {kind}/{key[:12]} is {error}; it is computed again")
             self.drop(kind, key)
             return None
 
@@ -173,7 +173,7 @@ class Cache:
             raise OutputError(
                 f"the cache {self.location} cannot be written: {error.strerror or error}; make "
                 "room or choose another "
-                f"with --cache or {VARIABLE}, and start again: nothing that was done is lost"
+                f"with --cache or {VARIABLE}, and start again; finished results are kept"
             ) from error
 
     def stats(self) -> Stats:
@@ -184,10 +184,10 @@ class Cache:
         return Stats(kinds)
 
     def verify(self, progress: Callable[[int], None] | None = None) -> tuple[int, list[str]]:
-        """Read every entry and drop the damaged ones.
+        """Read every entry and remove the damaged ones.
 
         Returns:
-            how many were read, and a line for each that was damaged.
+            The number of entries, and a line for each damaged one.
         """
         n, damaged = 0, []
         for kind, found in list(self._entries()):
@@ -206,8 +206,13 @@ class Cache:
         return n, damaged
 
     def tidy(self) -> int:
-        """Drop what was used longest ago until the rest fits, and what crashed writers left.
-        Returns bytes freed."""
+        """Remove the entries that were used longest ago until the rest is within the limit.
+
+        Files that crashed writers left are removed too.
+
+        Returns:
+            Bytes freed.
+        """
         self._objects.sweep()
         entries = [found for _, found in self._entries()]
         size, freed = sum(found.nbytes for found in entries), 0
@@ -222,7 +227,7 @@ class Cache:
         return freed
 
     def clear(self) -> Stats:
-        """Drop everything; returns what there was."""
+        """Remove everything and return what there was."""
         before = self.stats()
         for _, found in list(self._entries()):
             with suppress(OSError):

@@ -20,9 +20,9 @@ from .version import engine_version
 from .worker import Outcome, Parcel, Setup, perform
 
 CONNECT_S = 5.0
-_LEAST_WAIT_S = 0.1  # so that workers that are there are seen with --wait 0
-_AHEAD = 2  # tasks per worker, so that the next one is there when one is finished
-_GO_ON = "what was done is kept: run the same command again when the cluster is back"
+_LEAST_WAIT_S = 0.1  # so that --wait 0 finds existing workers
+_AHEAD = 2  # tasks per worker, so that a worker need not wait for its next task
+_RESUME = "finished results are kept: run the same command again when the cluster is back"
 _SHARED = 64  # results that are kept in the memory of the cluster
 
 
@@ -68,7 +68,7 @@ class DaskEngine:
         self._number = itertools.count()
 
     def _check_workers(self) -> None:
-        """Wait for a worker and compare versions; workers that die meanwhile do not count.
+        """Wait for a worker and compare versions; workers that die in the meantime are ignored.
 
         Raises:
             InputError: No worker appeared in time, or one runs another version.
@@ -85,7 +85,7 @@ class DaskEngine:
                 ) from None
             try:
                 found = self._client.run(engine_version, on_error="return")
-            except Exception:  # the worker that was asked died
+            except Exception:  # the worker died during the call
                 found = {}
             alive = self._client.scheduler_info(n_workers=-1)["workers"]
             answers = {worker: v for worker, v in found.items() if worker in alive}
@@ -148,7 +148,7 @@ class DaskEngine:
         future.add_done_callback(self._done.put)
 
     def _share(self, key: str, data: bytes) -> Any:
-        """Send the bytes to a worker's memory, from where the other workers fetch them."""
+        """Send bytes to the memory of one worker, from which the other workers fetch them."""
         if key not in self._shared:
             try:
                 self._shared[key] = self._client.scatter(data, hash=False)
@@ -181,10 +181,10 @@ class DaskEngine:
                 self.submit(task, parcel, attempt + 1)
 
     def _wait(self) -> Any:
-        """The next future that is done.
+        """Wait for the next finished future.
 
         Raises:
-            OutputError: the scheduler is gone, or all workers are and none comes back.
+            OutputError: The scheduler has ended, or all workers have and none comes back.
         """
         idle_since = time.monotonic()
         while True:
@@ -196,26 +196,26 @@ class DaskEngine:
                 elif time.monotonic() - idle_since > self._wait_s:
                     raise OutputError(
                         "the cluster has lost all its workers and none came back in "
-                        f"{self._wait_s:.0f} s; {_GO_ON}"
+                        f"{self._wait_s:.0f} s; {_RESUME}"
                     ) from None
 
     def _alive(self) -> bool:
-        """Whether the cluster has workers.
+        """Return whether the cluster has workers.
 
         Raises:
-            OutputError: its scheduler is gone.
+            OutputError: Its scheduler has ended.
         """
         if self._client.status != "running":
-            raise OutputError(f"the scheduler of the cluster is gone; {_GO_ON}")
+            raise OutputError(f"the scheduler of the cluster has ended; {_RESUME}")
         return bool(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def close(self) -> None:
-        with suppress(TimeoutError):  # the error that ended the sweep is the one to report
+        with suppress(TimeoutError):  # the error that ended the sweep must be reported
             self._client.close(timeout=2)
 
 
 def _reach(address: str) -> None:
-    """Connect to a scheduler once; raise what the transport raises where none answers.
+    """Connect to a scheduler once; raise the error of the transport if none answers.
 
     A Client that finds no scheduler leaves its thread behind, and deadlocks when it is collected
     while another one starts (distributed 2026.8). The connection is made in a thread, because a

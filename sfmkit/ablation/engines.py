@@ -1,11 +1,10 @@
-"""Where the work is done: processes of this machine, or a Dask cluster, behind one small interface.
+"""Engines: local processes or a Dask cluster behind one interface.
 
-Local processes are our own few lines and not an executor of concurrent.futures or loky. Those break
-as a whole when one
-worker is killed: every task under way is lost, and none of them can be told from the one that
-brought it about. Here a worker that dies takes only its own task with it. They also start from a
-plain script or a notebook without a guarded ``__main__``, and end by themselves when the parent is
-killed, because their input does.
+The local processes do not use an executor of concurrent.futures or loky. Such an executor fails as
+a whole when one worker is killed: all running tasks are lost, and the task that caused the failure
+is unknown. Here only the task of the dead worker is lost. The processes also start from a script or
+a notebook without a guarded ``__main__``, and end when the parent is killed, because their input is
+closed.
 """
 
 from __future__ import annotations
@@ -23,30 +22,46 @@ from ..errors import InputError
 from .tasks import Task
 from .worker import Outcome, Parcel, Setup, reason_of, receive, send
 
-ATTEMPTS = 3  # at a task, when workers die of it
+ATTEMPTS = 3  # per task, if its workers die
 
 
 class Engine(Protocol):
-    """Takes tasks and gives outcomes back, in any order."""
+    """Runs tasks and returns their outcomes in any order.
+
+    Attributes:
+        shares_files: Whether workers see the files of this process.
+    """
 
     shares_files: bool
 
     @property
     def slots(self) -> int:
-        """How many tasks it wants to hold at once."""
+        """The number of tasks that it should hold at a time."""
         ...
 
-    def submit(self, task: Task, parcel: Parcel) -> None: ...
+    def submit(self, task: Task, parcel: Parcel) -> None:
+        """Add a task with what is sent with it."""
+        ...
 
     def next(self) -> tuple[Task, Outcome]:
-        """The next outcome; waits for it."""
+        """Wait for the next outcome."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Stop the workers; running tasks are lost."""
+        ...
 
 
 class LocalEngine:
-    """Processes of this machine, one thread each. They start when there is something to do."""
+    """Processes of this machine with one thread each, started for their first task.
+
+    Args:
+        workers: Number of processes.
+        setup: What they need.
+
+    Raises:
+        InputError: `workers` is less than 1.
+    """
 
     shares_files = True
 
@@ -70,7 +85,7 @@ class LocalEngine:
 
     @property
     def pids(self) -> list[int]:
-        """The workers that run."""
+        """The process ids of the running workers."""
         return [p.pid for p in self._processes if p is not None]
 
     def submit(self, task: Task, parcel: Parcel) -> None:
@@ -90,8 +105,7 @@ class LocalEngine:
             thread.join(timeout=10)
 
     def _serve(self, k: int) -> None:
-        """One worker's side of the conversation; a dead one is replaced, and its task tried
-        again."""
+        """Send tasks to worker k and collect its outcomes; replace the worker if it dies."""
         while (task := self._tasks.get()) is not None:
             outcome = None
             for _ in range(ATTEMPTS):
@@ -106,9 +120,7 @@ class LocalEngine:
                     self._stop(k)
                     if self._closing:
                         return
-                except (
-                    Exception
-                ) as error:  # neither task nor outcome could be told; nobody must wait for it
+                except Exception as error:  # task or outcome cannot be pickled
                     outcome = Outcome("failed", reason_of(error))
                     self._stop(k)
                     break
@@ -116,7 +128,7 @@ class LocalEngine:
         self._stop(k)
 
     def _start(self, k: int) -> subprocess.Popen:
-        # this process's own search path, so that a worker finds the same plug-ins
+        # The search path of this process, so that a worker finds the same plug-ins.
         root = Path(__file__).parent.parent.parent
         path = os.pathsep.join([str(root), *(os.path.abspath(folder) for folder in sys.path)])
         process = subprocess.Popen(
@@ -124,7 +136,7 @@ class LocalEngine:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C is for the parent
+            start_new_session=True,  # Ctrl-C must reach the parent only
         )
         self._processes[k] = process
         return process
@@ -141,6 +153,7 @@ class LocalEngine:
 
 
 def died() -> Outcome:
+    """The outcome of a task whose workers died."""
     return Outcome(
         "failed", f"the worker died {ATTEMPTS} times at this task (killed, or out of memory)"
     )

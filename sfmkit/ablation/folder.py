@@ -32,7 +32,7 @@ _SWEEP = "sweep.json"
 
 
 class SweepFolder:
-    """The folder at a path; it is made, with its parents, where it does not exist."""
+    """The folder at a path, which is created with its parents if it does not exist."""
 
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
@@ -57,7 +57,7 @@ class SweepFolder:
         return locked(self.path)
 
     def open(self, plan: Plan) -> None:
-        """Make the folder this plan's, or check that it is.
+        """Write the description of a plan to the folder, or compare it with the stored one.
 
         Raises:
             InputError: It holds another sweep, or its ``sweep.json`` is damaged.
@@ -110,7 +110,7 @@ def write_sweep(path: str | os.PathLike, content: dict[str, Any]) -> None:
 
 
 def read_sweep(path: str | os.PathLike) -> dict[str, Any]:
-    """Read what the sweep in a folder is, from ``sweep.json``.
+    """Read the description of the sweep in a folder from ``sweep.json``.
 
     Returns:
         Operators, combinations, variants, seeds, and the pairs with their truth.

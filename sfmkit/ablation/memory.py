@@ -1,4 +1,4 @@
-"""How much memory a stretch of work took."""
+"""The peak memory of a block of code."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from types import TracebackType
 
 
 class PeakMemory:
-    """The most memory that the process held between ``with`` and its end.
+    """Measure the largest memory of the process during a ``with`` block.
 
     On Linux the peak is reset at the start of the block. Elsewhere it is the peak since the process
     started; 0 if the peak is not available.
 
     Attributes:
-        mb: megabytes (10^6 bytes), once the block has ended.
+        mb: Megabytes (10^6 bytes), set at the end of the block.
     """
 
     mb: float = 0.0

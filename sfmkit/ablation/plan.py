@@ -1,5 +1,4 @@
-"""The whole work of a sweep, laid out before any of it is done: what is detected, matched and
-estimated, each once."""
+"""The plan of a sweep: all detections, matchings and estimates, each once."""
 
 from __future__ import annotations
 
@@ -26,26 +25,26 @@ from .version import digest, engine_version
 
 PlugIns = Mapping[tuple[str, str], PlugIn]
 
-_ESTIMATES = 24  # of a task at most: about ten seconds of work, and one shard
+_ESTIMATES = 24  # per task at most: about ten seconds of work, and one file
 
-# Rough costs of one thread, for the estimate of the time only: seconds a megapixel, a product of
-# keypoints, an estimate.
+# Rough costs on one thread, for the estimate of the time only: seconds per megapixel, per product
+# of keypoints, and per estimate.
 _DETECT_S = {"surf": 0.4, "orb": 0.15, "fast-brief": 0.1, "sift": 1.0, "akaze": 0.3}
 _DETECT_OTHER_S = 1.0
 _MATCH_S = 2.5e-9
 _ESTIMATE_S = {True: 0.3, False: 0.5}  # homography, two-view
-_KEYPOINTS = (3_000, 15_000)  # of an image, and of each of its megapixels
+_KEYPOINTS = (3_000, 15_000)  # per image, and per megapixel in addition
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How often each stage runs, and how many of these results are in the cache already.
+    """The number of results of each stage, and how many are in the cache.
 
     Attributes:
-        detections, matchings, estimates: distinct ones.
-        cached: of them, by kind.
-        rows: of the table.
-        seconds: about how long what is not cached takes one worker.
+        detections, matchings, estimates: Distinct results.
+        cached: Kind -> number of cached results.
+        rows: Rows of the table.
+        seconds: Rough time of the rest on one worker.
     """
 
     detections: int
@@ -61,11 +60,11 @@ class Plan:
     """A sweep.
 
     Attributes:
-        pairs: what it runs on.
-        operators, combinations, variants, seeds: what it runs.
-        units: all estimates, in the order of the table's rows.
-        plugins: those that are not part of sfmkit.
-        shard: (i, n) where the pairs are part i of n of those of a sweep.
+        pairs: The pairs of the data.
+        operators, combinations, variants, seeds: The settings.
+        units: All estimates, in the order of the rows of the table.
+        plugins: Plug-ins that are not part of sfmkit.
+        shard: (i, n) if the pairs are part i of n of those of a sweep.
     """
 
     pairs: tuple[PlannedPair, ...]
@@ -87,7 +86,7 @@ class Plan:
 
     @cached_property
     def identity(self) -> str:
-        """Digest of everything that the rows depend on."""
+        """Digest of everything on which the rows depend."""
         pairs = [[str(p), p.has_truth, p.failure] for p in self.pairs]
         return digest(engine_version(), pairs, [unit.key for unit in self.units])
 
@@ -132,7 +131,7 @@ class Plan:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """What the sweep is, for its folder."""
+        """Describe the sweep, for the file in its folder."""
         return {
             "identity": self.identity,
             "engine": engine_version(),
@@ -147,7 +146,7 @@ class Plan:
 
 
 def cost(task: Task) -> float:
-    """About how many seconds a task takes one worker."""
+    """Estimate the seconds of a task on one worker."""
     if isinstance(task, DetectTask):
         return _DETECT_S.get(task.setting.operator, _DETECT_OTHER_S) * task.image.megapixels
     if isinstance(task, MatchTask):
@@ -179,16 +178,16 @@ def make_plan(
     shard: tuple[int, int] | None = None,
     say: Progress = silent,
 ) -> Plan:
-    """Lay out a sweep; arguments as for :func:`sfmkit.ablation.ablate`.
+    """Plan a sweep; arguments as for :func:`sfmkit.ablation.ablate`.
 
     Args:
-        cache: where rendered pairs are kept.
-        images: folder for images that are not files.
+        cache: Cache of rendered pairs.
+        images: Folder for images that are not files.
         shard: (i, n): only part i of n of the pairs; the images of other parts are not read.
 
     Raises:
-        InputError: unknown operators, combinations, presets, settings, data sets; fewer pairs than
-            shards.
+        InputError: Operators, combinations, presets, settings or data sets are unknown, or there
+            are fewer pairs than shards.
     """
     names = choose_operators(operators)
     if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:

@@ -1,7 +1,8 @@
 """A sweep from plan to table: ``ablate(...)``.
 
-One process plans, hands out tasks, and alone writes the sweep's folder; workers write the cache.
-Whatever is killed, what is in either stays, and the same call goes on from there.
+One process plans, distributes the tasks, and is the only one that writes to the folder of the
+sweep; workers write to the cache. If a process is killed, both keep their content, and the same
+call resumes the sweep.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from typing import Any, Literal
 
 from .._utils.progress import Progress
 from ..datasets import Pair
-from ..errors import InputError, OutputError
+from ..errors import InputError
 from .cache import DEFAULT_LIMIT, Cache, default_cache
-from .engines import Engine, LocalEngine
+from .driving import drive
+from .engine_choice import WAIT_S, start_engine
+from .engines import Engine
 from .entry import DamagedEntry, Entry
 from .folder import SweepFolder
 from .plan import Plan, cost, make_plan
@@ -28,20 +31,17 @@ from .tasks import DetectTask, EstimateTask, Task
 from .version import engine_version
 from .worker import Outcome, Parcel, Setup
 
-_TIDY_EVERY = 500  # outcomes
-WAIT_S = 600.0  # for workers; batch systems start jobs within minutes, or much later
-
 
 @dataclass(frozen=True)
 class SweepState:
-    """How far a sweep is.
+    """The progress of a sweep.
 
     Attributes:
         stage: ``plan``, ``run`` or ``merge``.
-        done, total: rows.
-        what: what was done last.
-        seconds_left: estimate; None while nothing is known.
-        notes: what the user should hear of, since the last time.
+        done, total: Rows.
+        what: The last task.
+        seconds_left: Estimate; None before the first measurement.
+        notes: Warnings for the user since the last state.
     """
 
     stage: str
@@ -56,7 +56,7 @@ Watcher = Callable[[SweepState], None]
 
 
 def _planning(watch: Watcher) -> Progress:
-    """The progress of the plan as states of the sweep."""
+    """Convert the progress of the plan to states of the sweep."""
 
     def report(stage: str, detail: str = "", *, fraction: float | None = None) -> None:
         watch(SweepState("plan", what=f"{stage} {detail}"))
@@ -85,43 +85,43 @@ def ablate(
     shard: tuple[int, int] | None = None,
     progress: Watcher | None = None,
 ) -> AblationTable:
-    """Run every combination of operators on every pair, and return one table.
+    """Run every combination of operators on every pair and return one table.
 
     >>> table = ablate("planes:viewpoint", ["surf", "orb", "sift"], seeds=3, out="out/ablation")
 
-    Every image is searched once for each operator and setting, every pair matched once, and all
-    combinations and seeds share that. Results are cached by content, so another sweep uses them
-    too. A run that fails is a row with its reason.
+    Features are detected once per image, operator and setting, and matched once per pair; all
+    combinations and seeds share them. Results are cached by content, so other sweeps use them as
+    well. A failed run becomes a row with its reason.
 
     Args:
-        data: data sets, ``"oxford,strecha:fountain-P11"`` (sequences after a colon, joined by +),
+        data: Data sets, ``"oxford,strecha:fountain-P11"`` (sequences after a colon, joined by +),
             or pairs.
-        operators: names; their order is that of the combinations' names.
+        operators: Names, in the order in which combinations are named.
         combos: ``all``, ``pairs``, ``leave-one-out``, or a list
             (:func:`~.variants.choose_combinations`).
-        seeds: each estimate is made with seeds 0 ... seeds - 1.
+        seeds: Number of seeds: each estimate is repeated with the seeds 0 to seeds - 1.
         preset: ``default``, ``dense``, ``paper``, or several.
-        vary: setting -> values, every combination of them (:func:`~.variants.choose_variants`).
+        vary: Setting -> values; all combinations of them (:func:`~.variants.choose_variants`).
         matchers: Name or import path of the matcher; or operator -> matcher, for some of them.
         backend: Name or import path of the robust estimator; None: the preset's.
         wait: Seconds to wait for the first worker of a Dask cluster, or for another one when all
             are lost; long enough for the queue of a batch system.
-        out: folder of the ablation, which is resumed if it exists; None keeps the table in memory.
-        root: folder of the data sets; None: ``SFMKIT_DATA``, or what was fetched.
-        workers: local processes; None for one per core.
-        scheduler: ``tcp://host:port`` of a Dask cluster, which works in place of local processes.
-        ship: whether the cluster's workers see our files (``path``: images and cache), or images
-            travel to them and arrays back (``bytes``).
+        out: Folder of the ablation, which is resumed if it exists; None keeps the table in memory.
+        root: Folder of the data sets; None for ``SFMKIT_DATA`` or the folder of fetched data.
+        workers: Local processes; None for one per core.
+        scheduler: ``tcp://host:port`` of a Dask cluster, used in place of local processes.
+        ship: ``path`` if the workers of the cluster see the files of this process (images and
+            cache); ``bytes`` to send images to them and receive arrays.
         cache: Folder, or a URL that fsspec opens; None: :func:`~.cache.default_cache`.
-        cache_limit: bytes of the cache.
+        cache_limit: Largest size of the cache, bytes.
         shard: (i, n): only part i of n of the pairs; :func:`sfmkit.ablation.merge.merge_shards`
             merges the folders of all parts.
-        progress: called with a :class:`SweepState`.
+        progress: Called with a :class:`SweepState`.
 
     Raises:
-        InputError: whatever is asked for cannot be, the folder holds another sweep or one that
-            runs, no scheduler answers, or workers run another version.
-        OutputError: the disk is full, or a folder cannot be written. What was done is kept.
+        InputError: An argument is invalid, the folder holds another sweep or a running one, no
+            scheduler answers, or workers run another version.
+        OutputError: The disk is full, or a folder cannot be written. Finished results are kept.
     """
     if not 0 <= wait < math.inf:
         raise InputError(f"wait must be seconds, not {wait}")
@@ -180,11 +180,7 @@ def ablate(
         )
 
         def engine() -> Engine:
-            if scheduler is None:
-                return LocalEngine(workers or os.cpu_count() or 1, setup)
-            from .cluster import DaskEngine
-
-            return DaskEngine(scheduler, setup, wait)
+            return start_engine(setup, workers=workers, scheduler=scheduler, wait_s=wait)
 
         if ship == "bytes" and scheduler is None:
             raise InputError(
@@ -198,7 +194,7 @@ def ablate(
 
 @dataclass
 class Sweep:
-    """The state of a sweep under way."""
+    """A running sweep."""
 
     plan: Plan
     folder: SweepFolder
@@ -217,9 +213,9 @@ class Sweep:
     _left: float = 0.0  # cost of what is still to be done
 
     def run(self, start: Callable[[], Engine]) -> None:
-        """Do what is missing. The engine starts only if something is."""
+        """Run the missing tasks; the engine starts only if there are some."""
         total = sum(len(unit.jobs) for unit in self.plan.units)
-        self._say("what was done before", total)
+        self._say("finished before", total)
         missing = []
         for number, unit in enumerate(self.plan.units):
             if self.folder.has(unit):
@@ -230,16 +226,32 @@ class Sweep:
                 missing.append((number, unit))
         if not missing:
             return
-        counts = self.plan.count(self.cache)
-        self._left = counts.seconds
-        engine = start()
-        try:
-            self._work(engine, missing, total)
-        finally:
-            engine.close()
+        self._left = self.plan.count(self.cache).seconds
+        agenda = Agenda(lambda t: self.cache.has(t.kind, t.key), self._give_up)
+        order = iter(missing)
+
+        def feed() -> bool:
+            item = next(order, None)
+            if item is None:
+                return False
+            number, unit = item
+            self._numbers[unit.key] = number
+            known = self._results[unit.key]
+            jobs = tuple(job for job in unit.jobs if job.key not in known)
+            agenda.want(unit.only(jobs), number)
+            return True
+
+        def pack(engine: Engine, task: Task) -> Parcel | None:
+            return self._parcel(engine, agenda, task)
+
+        def take(task: Task, outcome: Outcome, slots: int) -> None:
+            self._take(agenda, task, outcome)
+            self._progress(task, outcome, slots, total)
+
+        drive(agenda, self.cache, start, feed, pack, take)
 
     def _from_cache(self, unit: EstimateTask) -> bool:
-        """Gather what is known of a unit's jobs; whether that is all, and its shard is written."""
+        """Collect the cached results of a unit; return whether its rows could be written."""
         pair = self.plan.pairs[unit.pair]
         known = self._results.setdefault(unit.key, {})
         for job in unit.jobs:
@@ -260,44 +272,12 @@ class Sweep:
         self._rows_done += len(unit.jobs)
         return True
 
-    def _work(self, engine: Engine, missing: list[tuple[int, EstimateTask]], total: int) -> None:
-        agenda = Agenda(lambda t: self.cache.has(t.kind, t.key), self._give_up)
-        order = iter(missing)
-        running = outcomes = 0
-        while True:
-            while running < (slots := engine.slots):
-                while len(agenda) < slots and (item := next(order, None)) is not None:
-                    number, unit = item
-                    self._numbers[unit.key] = number
-                    known = self._results[unit.key]
-                    agenda.want(
-                        unit.only(tuple(job for job in unit.jobs if job.key not in known)), number
-                    )
-                if not len(agenda):
-                    break
-                task = agenda.pop()
-                parcel = self._parcel(engine, agenda, task)
-                if parcel is not None:
-                    engine.submit(task, parcel)
-                    running += 1
-            if not running:
-                break
-            task, outcome = engine.next()
-            running -= 1
-            outcomes += 1
-            self._take(agenda, task, outcome)
-            self._progress(task, outcome, engine.slots, total)
-            if outcomes % _TIDY_EVERY == 0:
-                self.cache.tidy()
-        self.cache.tidy()
-
     def _unit(self, task: EstimateTask) -> EstimateTask:
         """The unit that the task is a part of."""
         return self.plan.units[self._numbers[task.key]]
 
     def _give_up(self, task: EstimateTask, reasons: dict[str, str]) -> None:
-        """Some operators have failed, for these reasons, and with them the combinations that have
-        them."""
+        """Record the failure of all combinations that contain a failed operator."""
         unit = self._unit(task)
         for job in task.jobs:
             operator = next((o for o in job.combination if o in reasons), None)
@@ -306,14 +286,14 @@ class Sweep:
         self._finish(unit)
 
     def _parcel(self, engine: Engine, agenda: Agenda, task: Task) -> Parcel | None:
-        """What must travel with the task; None when some of it has to be made again first."""
+        """What is sent with the task; None if a part of it has to be computed again first."""
         if engine.shares_files:
             return Parcel()
         try:
             if isinstance(task, DetectTask):
                 return Parcel(images={task.image.digest: Path(task.image.path).read_bytes()})
         except OSError:
-            return Parcel()  # the worker will say what is wrong with the image
+            return Parcel()  # the worker reports what is wrong with the image
         inputs, lost = {}, []
         for key, need in all_needs(task).items():
             data = self.cache.get_bytes(need.kind, key)
@@ -324,7 +304,7 @@ class Sweep:
                 inputs[key] = data
             except DamagedEntry as error:
                 self._notes.append(
-                    f"cache entry {need.kind}/{key[:12]} is {error}; it is made again"
+                    f"cache entry {need.kind}/{key[:12]} is {error}; it is computed again"
                 )
                 self.cache.drop(need.kind, key)
                 lost.append(need)
@@ -335,19 +315,14 @@ class Sweep:
 
     def _take(self, agenda: Agenda, task: Task, outcome: Outcome) -> None:
         self._notes += outcome.notes
-        if outcome.status == "full":
-            raise OutputError(outcome.reason)
-        if outcome.status == "refused":
-            raise InputError(outcome.reason)
         if not isinstance(task, EstimateTask):
             if outcome.data is not None:
                 self.cache.put_bytes(task.kind, task.key, outcome.data)
             agenda.finished(task, outcome.reason)
             return
         unit = self._unit(task)
-        if (
-            outcome.status == "failed" and len(task.jobs) > 1
-        ):  # one of them is to blame: each by itself
+        if outcome.status == "failed" and len(task.jobs) > 1:
+            # One of the jobs is the cause: run each as a task of its own.
             for k, job in enumerate(task.jobs):
                 part = task.only((job,), f"{task.key}.{k}")
                 self._numbers[part.key] = self._numbers[task.key]

@@ -1,5 +1,4 @@
-"""Which task may start next: each once, when what it needs is there, pair by pair in the order of
-the plan."""
+"""The order of the tasks: each once, after its inputs, pair by pair as in the plan."""
 
 from __future__ import annotations
 
@@ -12,8 +11,10 @@ from .tasks import DetectTask, EstimateTask, MatchTask, Task
 
 
 def all_needs(task: Task) -> dict[str, Task]:
-    """What a worker reads for a task, by key: for an estimate, the matches and the features that
-    they index."""
+    """Return what a worker reads for a task, by key.
+
+    For an estimate these are the matches and the features that they index.
+    """
     needs: dict[str, Task] = {t.key: t for t in task.needs}
     if isinstance(task, EstimateTask):
         needs |= {t.key: t for match in task.needs for t in match.needs}
@@ -22,15 +23,15 @@ def all_needs(task: Task) -> dict[str, Task]:
 
 @dataclass
 class Agenda:
-    """Tasks on their way to being ready.
+    """Tasks that wait for their inputs, and tasks that are ready.
 
-    A task that fails takes along only what needs it: an estimate goes on with the combinations that
-    are left.
+    If a task fails, only the tasks that need it fail: an estimate continues with the remaining
+    combinations.
 
     Args:
-        is_there: whether the result of a task exists already.
-        give_up: told of an estimate task and the reasons, operator -> reason, for which some of its
-            jobs cannot be done.
+        is_there: Returns whether the result of a task exists.
+        give_up: Called with an estimate task and operator -> reason, if some of its jobs cannot be
+            run.
     """
 
     is_there: Callable[[Task], bool]
@@ -44,12 +45,14 @@ class Agenda:
     _number: itertools.count = field(default_factory=itertools.count)
 
     def __len__(self) -> int:
-        """Tasks that could start now."""
+        """The number of ready tasks."""
         return len(self._ready)
 
     def want(self, task: Task, priority: int) -> bool:
-        """Ask for the result of a task; whether it is there. Asking again for what is on its way
-        does nothing."""
+        """Add a task unless its result exists; return whether it exists or cannot be computed.
+
+        A task that was added before is not added again.
+        """
         if task.key in self._there or task.key in self.failed:
             return True
         if task.key in self._waiting or task.key in self._under_way:
@@ -66,19 +69,19 @@ class Agenda:
         return task.key in self.failed
 
     def pop(self) -> Task:
-        """The ready task that comes first."""
+        """Remove and return the first ready task."""
         *_, task = heapq.heappop(self._ready)
         return task
 
     def again(self, task: Task, priority: int, lost: list[Task]) -> None:
-        """Put a task back because results that it needs have vanished from the cache."""
+        """Add a task again because inputs of it have been removed from the cache."""
         self._under_way.discard(task.key)
         for need in lost:
             self._there.discard(need.key)
         self.want(task, priority)
 
     def finished(self, task: Task, failure: str = "") -> None:
-        """The task is done, or has failed for a reason."""
+        """Record that a task is finished, or failed for a reason."""
         self._under_way.discard(task.key)
         self._settle(task.key, failure)
 
@@ -94,7 +97,7 @@ class Agenda:
                 self._release(name)
 
     def _release(self, key: str) -> None:
-        """All that the task needs is there, or has failed."""
+        """Make a task ready whose inputs all exist or have failed."""
         task, priority, _ = self._waiting.pop(key)
         if isinstance(task, EstimateTask):
             reasons = {

@@ -97,7 +97,7 @@ class PlannedPair:
 
 @dataclass
 class ImageShelf:
-    """Images by their bytes. Arrays become PNG files, so that workers can read them.
+    """References to images by their bytes; arrays become PNG files, which workers can read.
 
     Attributes:
         folder: The folder of these files; None writes none, for a plan that is only counted.
@@ -138,7 +138,7 @@ class ImageShelf:
 
 
 def plan_pair(pair: Pair, shelf: ImageShelf) -> PlannedPair:
-    """Check the images and cameras of a pair; what is wrong with them becomes its failure."""
+    """Check the images and cameras of a pair; an error becomes its failure."""
     homography = pair.kind == HOMOGRAPHY
     failure, images, cameras = "", None, None
     try:
@@ -184,7 +184,7 @@ def find_pairs(
     cache: Cache | None,
     say: Progress = silent,
 ) -> list[Pair]:
-    """The pairs that `data` names or is.
+    """Find the pairs that `data` names or contains.
 
     Args:
         data: ``oxford,strecha:fountain-P11,pairs.json`` as text, or a list of such items and of
@@ -215,7 +215,7 @@ def find_pairs(
 
 
 def _generated(source: Source, cache: Cache | None, say: Progress) -> list[Pair]:
-    """The pairs of a data set that is computed, from the cache where they are there.
+    """Return the pairs of a rendered data set, from the cache if possible.
 
     Empty for a data set that is read from the disk.
     """

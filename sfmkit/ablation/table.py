@@ -1,5 +1,4 @@
-"""The table that a sweep makes: one row for each pair, combination, preset and seed. Its columns
-are its interface.
+"""The table of a sweep: one row for each pair, combination, preset and seed.
 
 ``docs/ablation.md`` describes them; :data:`~.table_file.SCHEMA` lists their types.
 """
@@ -48,10 +47,10 @@ Row = dict[str, Any]
 def make_row(
     pair: PlannedPair, unit: EstimateTask, job: Job, result: Mapping[str, Any] | str
 ) -> Row:
-    """The row of a job.
+    """Make the row of a job.
 
     Args:
-        result: of the estimate, or the reason why there is none.
+        result: The result of the estimate, or the reason why there is none.
     """
     row: Row = dict.fromkeys(SCHEMA.names)
     row |= {
@@ -94,9 +93,10 @@ def make_row(
 
 
 def _errors(pair: PlannedPair, row: Row) -> Row:
-    """Errors against the truth; infinite where there is no estimate to compare.
+    """Compute errors against the truth; infinite if there is no estimate.
 
-    A homography is judged at its check points where there are some, else at the corners of image 1.
+    The error of a homography is that of its check points if there are some, else that of the
+    corners of image 1.
     """
     if pair.homography:
         if row["H"] is None:
@@ -118,7 +118,7 @@ def _errors(pair: PlannedPair, row: Row) -> Row:
             torch.tensor(row["R"], dtype=torch.float64).reshape(3, 3), torch.tensor(pair.R)
         )
     )
-    if not np.any(pair.t):  # taken from one place: there is no direction to get wrong
+    if not np.any(pair.t):  # the camera did not move, so the translation has no direction
         return {"rotation_deg": rotation, "error": rotation}
     if row["t"] is None:
         return {"rotation_deg": rotation, "error": math.inf}

@@ -23,12 +23,12 @@ from .version import digest, stage_version
 
 @dataclass(frozen=True)
 class ImageRef:
-    """An image as a task names it.
+    """An image of a task.
 
     Attributes:
-        digest: sha256 of the file's bytes.
-        path: where it lies for those who see the same files.
-        size_wh: pixels, upright.
+        digest: Sha256 of the bytes of the file.
+        path: The file, for workers that see it.
+        size_wh: Pixels, upright.
     """
 
     digest: str
@@ -121,7 +121,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class EstimateTask:
-    """Some of the estimates of one pair; its result is a shard of the table.
+    """Some of the estimates of one pair; their rows are one file of the folder of the sweep.
 
     Attributes:
         key: of the unit of the plan that it belongs to; a part of a unit keeps it.

@@ -1,4 +1,4 @@
-"""What is varied: combinations of operators, presets, and settings of operators and stages."""
+"""Combinations of operators, presets, and varied settings of operators and stages."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ MATCHER = "matcher"  # OPERATOR.matcher is the matcher of one operator
 def choose_combinations(
     operators: Sequence[str], combos: str | Sequence[str | Sequence[str]] = "all"
 ) -> list[Combination]:
-    """The combinations to run, each in the order of `operators`, small ones first.
+    """Choose the combinations to run, each in the order of `operators`, small ones first.
 
     Args:
-        operators: names, in the order that they are to have everywhere.
+        operators: Names, in the order that is used everywhere.
         combos: ``all`` (every non-empty subset), ``pairs`` (single operators and every two),
             ``leave-one-out`` (all together, all but one, and each alone), or a list:
             ``surf/orb,sift`` as text, or a sequence of such combinations.
 
     Raises:
-        InputError: unknown operators, too many for ``all``, an empty or unreadable list.
+        InputError: Operators are unknown or too many for ``all``, or the list is malformed.
     """
     if not operators:
         raise InputError("name at least one operator, e.g. surf,orb,sift")
@@ -89,7 +89,7 @@ def _combination(part: str | Sequence[str], operators: Sequence[str]) -> Combina
             raise InputError(
                 f"the combination {JOIN.join(names)} has an operator '{name}' that is not among "
                 "--operators; the choices "
-                f"all, pairs and leave-one-out go by themselves"
+                f"all, pairs and leave-one-out cannot be part of a list"
             )
     return tuple(o for o in operators if o in members)
 
@@ -99,8 +99,8 @@ class Setting:
     """How one operator is run on an image.
 
     Attributes:
-        operator: its name.
-        preset, budget, max_size, options: as in :func:`sfmkit.features.detect`.
+        operator: Its name.
+        preset, budget, max_size, options: As in :func:`sfmkit.features.detect`.
     """
 
     operator: str
@@ -125,14 +125,14 @@ class Variant:
 
     Attributes:
         preset: ``default``, ``dense`` or ``paper``.
-        changes: (name, value); a name is a stage's setting or ``operator.option``.
+        changes: (name, value); a name is the setting of a stage or ``operator.option``.
     """
 
     preset: str
     changes: tuple[tuple[str, Any], ...] = ()
 
     def of(self, combination: Combination, homography: bool) -> Variant:
-        """This variant, less the changes without effect on a combination and kind of estimate.
+        """Remove the changes without effect on a combination and kind of estimate.
 
         These are changes to operators that are not in the combination, to settings of the other
         kind of estimate, and to the value that the preset has.
@@ -211,17 +211,17 @@ def _options(variant: Variant) -> Options:
 def choose_variants(
     presets: Sequence[str], vary: Mapping[str, Sequence[Any]] | None, operators: Sequence[str]
 ) -> list[Variant]:
-    """Every preset with every combination of the varied values.
+    """Combine every preset with every combination of the varied values.
 
     Args:
-        presets: ``default``, ``dense``, ``paper``, in any case.
-        vary: name -> values. A name is a stage's setting (:data:`STAGE_SETTINGS`),
-            ``operator.option``, or the
-            beginning of either that only one has: ``hessian`` for ``surf.hessian_threshold``.
+        presets: ``default``, ``dense``, ``paper``, in upper or lower case.
+        vary: Name -> values. A name is the setting of a stage (:data:`STAGE_SETTINGS`),
+            ``operator.option``, or a prefix that is unique: ``hessian`` for
+            ``surf.hessian_threshold``.
 
     Raises:
-        InputError: unknown presets; unknown or ambiguous names, no values, or values of another
-            type.
+        InputError: A preset is unknown, a name is unknown or ambiguous, or there are no values or
+            values of another type.
     """
     chosen = list(dict.fromkeys(str(p).strip().lower() for p in presets))
     for preset in chosen:
@@ -242,7 +242,7 @@ def choose_variants(
 
 
 def parse_vary(texts: Sequence[str]) -> dict[str, list[str]]:
-    """``["hessian=30,100"]`` as ``{"hessian": ["30", "100"]}``."""
+    """Parse ``["hessian=30,100"]`` as ``{"hessian": ["30", "100"]}``."""
     found: dict[str, list[str]] = {}
     for text in texts:
         name, equals, values = text.partition("=")
@@ -275,12 +275,12 @@ def _resolve(word: str, defaults: Mapping[str, Any]) -> str:
     ]
     if len(near) == 1:
         return near[0]
-    what = f"may be {', '.join(near)}" if near else f"is none of {', '.join(defaults)}"
+    what = f"can be {', '.join(near)}" if near else f"is not one of {', '.join(defaults)}"
     raise InputError(f"--vary {word}: the name {what}")
 
 
 def _typed(name: str, value: Any, default: Any) -> Any:
-    """`value`, which may be text, of the type of the setting; ``none`` where there may be none."""
+    """Convert `value`, which may be text, to the type of the setting; ``none`` becomes None."""
     text = str(value).strip().lower()
     if text in ("none", "null"):
         return None

@@ -1,4 +1,4 @@
-"""Which code made a result: part of every key, and compared between a sweep and its workers."""
+"""The versions of the code: part of every key, and compared between a sweep and its workers."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ STAGES = {
     "estimates": ("estimation", "pipeline"),
     "geometries": ("matching", "estimation", "pipeline"),
 }
-# these call the stages
+# modules that call the stages
 _ALWAYS = tuple(Path(__file__).with_name(name) for name in ("stages.py", "geometries.py"))
 
 
 @cache
 def stage_version(stage: str) -> str:
-    """Digest of all source files that a stage imports, and of the libraries that they import."""
+    """Compute a digest of the source files that a stage imports and of their libraries."""
     sources, libraries = dependencies(stage)
     installed = {name: _installed(name) for name in libraries}
     digest = hashlib.sha256(json.dumps([__version__, installed], sort_keys=True).encode())
@@ -48,7 +48,7 @@ def stage_version(stage: str) -> str:
 
 @cache
 def dependencies(stage: str) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """What the results of a stage depend on.
+    """Find what the results of a stage depend on.
 
     Whole packages of sfmkit are followed, because some modules are imported by a name in a table.
 
@@ -70,7 +70,7 @@ def dependencies(stage: str) -> tuple[tuple[Path, ...], tuple[str, ...]]:
 
 @cache
 def imports_of(file: Path) -> tuple[frozenset[str], frozenset[str]]:
-    """What a source file of sfmkit imports, in functions too.
+    """Find what a source file of sfmkit imports, also in functions.
 
     Returns:
         The packages and modules directly below sfmkit, and the top-level modules of other
@@ -99,7 +99,7 @@ def imports_of(file: Path) -> tuple[frozenset[str], frozenset[str]]:
 
 
 def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes, less what is under ``if TYPE_CHECKING``."""
+    """All nodes except those under ``if TYPE_CHECKING``."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
@@ -144,7 +144,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def engine_version() -> str:
-    """What a worker must have in common with its sweep: versions, and the code of every stage."""
+    """Describe what workers must share with their sweep: versions and the code of the stages."""
     code = hashlib.sha256("".join(stage_version(stage) for stage in STAGES).encode())
     shown = " ".join(f"{name} {v}" for name, v in versions().items())
     return f"{shown}, code {code.hexdigest()[:12]}"

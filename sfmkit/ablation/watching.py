@@ -1,4 +1,4 @@
-"""What a sweep shows while it runs and when it is done, in a terminal or a notebook."""
+"""Progress bar and overview of a sweep, in a terminal or a notebook."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from rich.text import Text
 from .run import SweepState, Watcher
 from .table import FAILED, AblationTable
 
-_WIDTH = 130  # of the overview in a file, characters
-_LONGEST = 30  # combinations in the overview
+_WIDTH = 130  # characters of the overview in a file
+_LONGEST = 30  # lines of the overview
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words: ``45 s``, ``12 min``, ``3.5 h``."""
+    """Write seconds as ``45 s``, ``12 min`` or ``3.5 h``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 class _Left(ProgressColumn):
-    """The time left, as the sweep estimates it."""
+    """The estimated time left."""
 
     def render(self, task: Task) -> Text:
         left = task.fields.get("left")
@@ -43,7 +43,7 @@ class _Left(ProgressColumn):
 
 @contextmanager
 def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watcher]:
-    """A progress bar for ``ablate(progress=...)``; works in a terminal and in a notebook.
+    """Show a progress bar for ``ablate(progress=...)``, in a terminal or a notebook.
 
     >>> with bar() as watch:
     ...     table = ablate("planes", progress=watch)
@@ -72,13 +72,13 @@ def bar(enabled: bool = True, console: Console | None = None) -> Iterator[Watche
 
 
 def print_overview(table: AblationTable) -> None:
-    """A line for each data set and combination: the median error, and how often there was none."""
+    """Print median error, failures and time of every data set and combination."""
     groups: dict[tuple[str, str, str], list[dict]] = {}
     for row in table:
         groups.setdefault((row["dataset"], row["combination"], row["preset"]), []).append(row)
     console = Console()
     if not console.is_terminal:
-        console = Console(width=_WIDTH)  # a file has no width to respect
+        console = Console(width=_WIDTH)  # a file has no width
     shown = Table(
         "data",
         "combination",

@@ -1,8 +1,8 @@
-"""A worker: it takes a task, runs it on one thread, and reports the outcome.
+"""Workers: run a task on one thread and return its outcome.
 
-The same function runs in local processes and on a Dask cluster. :func:`main` is the local kind: it
-reads tasks from its input and writes outcomes to its output until the input ends, which it also
-does when the process that started it is killed.
+:func:`perform` runs in local processes and on a Dask cluster. :func:`main` is the program of a
+local process: it reads tasks from its input and writes outcomes to its output until the input ends,
+also because the parent process was killed.
 """
 
 from __future__ import annotations
@@ -30,19 +30,21 @@ from .stages import Store, estimate_combination
 from .tasks import EstimateTask, Job, Task
 from .version import engine_version, versions
 
-_busy = threading.Lock()  # random numbers of OpenCV and the memory's peak belong to the process
+_busy = (
+    threading.Lock()
+)  # OpenCV's random numbers and the peak of the memory are those of the process
 _kept: OrderedDict[str, Entry] = OrderedDict()
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a worker has to know besides its task.
+    """What a worker needs besides its task.
 
     Attributes:
-        version: :func:`~.version.engine_version` of the process that plans.
-        cache: folder that all workers see; None where they share no files and results travel as
-            bytes.
-        plugins: To be loaded by every worker.
+        version: :func:`~.version.engine_version` of the planning process.
+        cache: Folder or URL that all workers see; None if they share no files and results are
+            returned as bytes.
+        plugins: Plug-ins that every worker loads.
     """
 
     version: str
@@ -52,8 +54,12 @@ class Setup:
 
 @dataclass(frozen=True)
 class Parcel:
-    """What travels with a task where files are not shared: digest of an image, or key of a result
-    -> its bytes."""
+    """The bytes that are sent with a task if files are not shared.
+
+    Attributes:
+        images: Digest of an image -> the bytes of its file.
+        inputs: Key of a result -> its bytes.
+    """
 
     images: Mapping[str, bytes] = field(default_factory=dict)
     inputs: Mapping[str, bytes] = field(default_factory=dict)
@@ -61,17 +67,17 @@ class Parcel:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task went.
+    """The outcome of a task.
 
     Attributes:
-        status: ``done``; ``failed`` for this task only; ``full`` where nothing can be written;
+        status: ``done``; ``failed`` for this task only; ``full`` if nothing can be written;
             ``refused`` by a worker of another version.
-        reason: of a failure.
-        seconds: wall time.
-        estimates: key of a job -> its result, or the reason of its failure as text.
-        data: the result's bytes, where they travel.
-        notes: what the user should hear of.
-        machine: where it ran.
+        reason: The reason of a failure.
+        seconds: Wall time.
+        estimates: Key of a job -> its result, or the reason of its failure as text.
+        data: The bytes of the result, if files are not shared.
+        notes: Warnings for the user.
+        machine: The machine of the worker.
     """
 
     status: Literal["done", "failed", "full", "refused"]
@@ -84,7 +90,7 @@ class Outcome:
 
 
 def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
-    """Carry out a task. Raises nothing: whatever goes wrong is the outcome."""
+    """Run a task; an exception becomes an outcome."""
     began = time.perf_counter()
     if setup.version != engine_version():
         return Outcome(
@@ -125,7 +131,7 @@ def perform(task: Task, setup: Setup, parcel: Parcel | None = None) -> Outcome:
 
 
 def _estimate(task: EstimateTask, store: Store) -> dict[str, dict[str, Any] | str]:
-    """The jobs of a task. Each is in the cache as soon as it is done."""
+    """Run the jobs of a task and store each result in the cache at once."""
     found: dict[str, dict[str, Any] | str] = {}
     by_combination: dict[tuple[str, ...], list[Job]] = {}
     for job in task.jobs:
@@ -148,13 +154,16 @@ def _estimate(task: EstimateTask, store: Store) -> dict[str, dict[str, Any] | st
 
 
 def reason_of(error: BaseException) -> str:
+    """Describe an exception in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def one_thread() -> None:
-    """This thread computes on one core. Said again before every task: torch's setting belongs to
-    the thread."""
+    """Let OpenCV and torch use one thread.
+
+    This is called before every task, because torch's setting belongs to the calling thread.
+    """
     import cv2
     import torch
 
@@ -164,7 +173,7 @@ def one_thread() -> None:
 
 @cache
 def machine() -> str:
-    """Processor, cores, system and Python, in a line."""
+    """Describe processor, cores, system and Python in one line."""
     return (
         f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python "
         f"{platform.python_version()}"
@@ -175,6 +184,7 @@ _LENGTH = struct.Struct("!Q")
 
 
 def send(stream: BinaryIO, message: Any) -> None:
+    """Write a message."""
     data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     stream.write(_LENGTH.pack(len(data)))
     stream.write(data)
@@ -182,10 +192,10 @@ def send(stream: BinaryIO, message: Any) -> None:
 
 
 def receive(stream: BinaryIO) -> Any:
-    """The next message.
+    """Read the next message.
 
     Raises:
-        EOFError: there is none any more.
+        EOFError: The stream has ended.
     """
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
@@ -198,9 +208,9 @@ def receive(stream: BinaryIO) -> Any:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Stop in the middle of a task when the parent has ended.
+    """End this process, also during a task, when the parent has ended.
 
-    The next sweep needs the processor.
+    Otherwise the task would compete with the next sweep for the processor.
     """
     while os.getppid() == parent:
         time.sleep(1.0)
@@ -208,8 +218,9 @@ def _end_with_parent(parent: int) -> None:
 
 
 def main() -> None:
+    """Run tasks from the standard input until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints must not end up among the answers
+    os.dup2(2, 1)  # The output of libraries must not mix with the outcomes.
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     with suppress(EOFError, BrokenPipeError):
         while True:

@@ -9,8 +9,9 @@ import click
 
 from .ablate_merge import merge
 from .ablate_report import report
-from .parsing import matchers, names, parse_shard, size_in_bytes
+from .parsing import matchers, names, parse_shard
 from .progress import resumable
+from .work_options import CACHE, CACHE_SIZE, SCHEDULER, WAIT, WORKERS
 
 
 @click.group(invoke_without_command=True, subcommand_metavar="[COMMAND ...]")
@@ -71,13 +72,8 @@ from .progress import resumable
 @click.option(
     "--dry-run", is_flag=True, help="Print what would be done and how long it takes, roughly."
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Local processes; default: one per core.",
-)
-@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run on this Dask cluster instead.")
+@WORKERS
+@SCHEDULER
 @click.option(
     "--ship",
     type=click.Choice(["path", "bytes"]),
@@ -85,26 +81,9 @@ from .progress import resumable
     show_default=True,
     help="The cluster's workers see the same files, or images travel to them and arrays back.",
 )
-@click.option(
-    "--wait",
-    type=click.FloatRange(min=0),
-    default=600.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="How long to wait for a worker of the cluster, e.g. in the queue of a batch system.",
-)
-@click.option(
-    "--cache",
-    metavar="FOLDER|URL",
-    help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's cache.",
-)
-@click.option(
-    "--cache-size",
-    default="8GB",
-    show_default=True,
-    callback=size_in_bytes,
-    help="Its largest size.",
-)
+@WAIT
+@CACHE
+@CACHE_SIZE
 @click.option(
     "--root",
     type=click.Path(path_type=Path),

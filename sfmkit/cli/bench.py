@@ -17,10 +17,10 @@ from .bench_options import (
     PRESETS,
     SEEDS,
     SHARD,
-    WORKERS,
 )
 from .bench_run import command_line, hand_over, parts_bar
 from .parsing import names
+from .work_options import WORKERS
 
 
 @click.group()

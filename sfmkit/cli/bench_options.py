@@ -19,7 +19,6 @@ __all__ = [
     "PRESETS",
     "SEEDS",
     "SHARD",
-    "WORKERS",
 ]
 
 MATCHER = click.option(
@@ -47,14 +46,6 @@ DATA = click.option(
     "--data",
     type=click.Path(path_type=Path),
     help="Folder of the data sets; default: SFMKIT_DATA, or the folder of `sfmkit data fetch`.",
-)
-
-
-WORKERS = click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Number of processes; default: one per core.",
 )
 
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import click
 
-CACHE = click.option(
-    "--cache",
-    metavar="FOLDER|URL",
-    help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's cache.",
-)
+from .work_options import CACHE
 
 
 @click.group()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from .parsing import POSITIVE, SEED, matchers, names, size_in_bytes
+from .parsing import POSITIVE, SEED, matchers, names
+from .work_options import CACHE, CACHE_SIZE, SCHEDULER, WAIT, WORKERS
 
 if TYPE_CHECKING:
     from ..mapping import MatchedFolder
@@ -102,27 +103,11 @@ _OPTIONS = (
         help="Folder of masks, black where keypoints are not used: a.jpg.png or a.png for a.jpg.",
     ),
     click.option("--seed", type=SEED, default=0, show_default=True),
-    click.option(
-        "--workers", type=click.IntRange(1, 1024), metavar="N", help="Default: one per core."
-    ),
-    click.option(
-        "--scheduler",
-        metavar="tcp://HOST:PORT",
-        help="Run on this Dask cluster, whose workers see the same files.",
-    ),
-    click.option(
-        "--cache",
-        metavar="FOLDER|URL",
-        help="Folder, or a URL such as s3://bucket/cache; default: SFMKIT_CACHE, or the user's "
-        "cache.",
-    ),
-    click.option(
-        "--cache-size",
-        default="8GB",
-        show_default=True,
-        callback=size_in_bytes,
-        help="Its largest size.",
-    ),
+    WORKERS,
+    SCHEDULER,
+    WAIT,
+    CACHE,
+    CACHE_SIZE,
     click.option("--overwrite", is_flag=True, help="Replace the folder --out if it exists."),
     click.option("--quiet", is_flag=True, help="Print nothing but errors."),
 )
@@ -153,7 +138,12 @@ def match(
     from ..options import adjust_preset
 
     workshop = Workshop.of(
-        given["cache"], given["cache_size"], given["workers"], given["scheduler"], watch
+        given["cache"],
+        given["cache_size"],
+        given["workers"],
+        given["scheduler"],
+        given["wait"],
+        watch,
     )
     return match_folder(
         given["folder"],

@@ -13,7 +13,8 @@ import pyarrow as pa
 from .._utils.progress import Progress
 from ..ablation.batch import BatchState, run_batch
 from ..ablation.cache import DEFAULT_LIMIT, Cache, default_cache
-from ..ablation.engines import Engine, LocalEngine
+from ..ablation.engine_choice import WAIT_S, start_engine
+from ..ablation.engines import Engine
 from ..ablation.entry import Entry
 from ..ablation.plan import cost
 from ..ablation.run import SweepState, Watcher
@@ -27,7 +28,7 @@ from ..types import Features, Verdict
 from .choice import AUTO, choose_pairs, default_choice, parse_choice
 from .collection import Collection, read_collection
 from .pair_table import FAILED, make_pair_row, pair_table_of
-from .planning import FolderPlan, Recipe, make_recipe, worker_count
+from .planning import FolderPlan, Recipe, make_recipe
 from .retrieval import similarities
 from .shared_cameras import choose_shared_cameras
 
@@ -51,7 +52,7 @@ class Workshop:
     cache: Cache
     workers: int | None = None
     scheduler: str | None = None
-    wait: float = 600.0
+    wait: float = WAIT_S
     watch: Watcher = lambda state: None
 
     @classmethod
@@ -61,22 +62,21 @@ class Workshop:
         cache_limit: int = DEFAULT_LIMIT,
         workers: int | None = None,
         scheduler: str | None = None,
+        wait: float = WAIT_S,
         progress: Watcher | None = None,
     ) -> Workshop:
         """The workshop of these settings; without `cache`, that of ablations."""
         store = Cache(default_cache() if cache is None else cache, cache_limit)
-        return cls(store, workers, scheduler, watch=progress or (lambda state: None))
+        return cls(store, workers, scheduler, wait, progress or (lambda state: None))
 
     def run(self, stage: str, tasks: Iterator[Task], total: int, cost_s: float, recipe: Recipe):
         """Carry out tasks; returns key -> reason of those that failed."""
         setup = Setup(engine_version(), self.cache.location, recipe.foreign_plugins)
 
         def start() -> Engine:
-            if self.scheduler is None:
-                return LocalEngine(worker_count(self.workers), setup)
-            from ..ablation.cluster import DaskEngine
-
-            return DaskEngine(self.scheduler, setup, self.wait)
+            return start_engine(
+                setup, workers=self.workers, scheduler=self.scheduler, wait_s=self.wait
+            )
 
         def watch(state: BatchState) -> None:
             self.watch(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -203,8 +202,3 @@ def make_recipe(
     wanted.append((ESTIMATOR, options.estimate.backend))
     plugins = {key: find_plugin(*key) for key in dict.fromkeys(wanted)}
     return Recipe(names, options, plugins, descriptor, seed)
-
-
-def worker_count(workers: int | None) -> int:
-    """Return the number of local processes: as given, or one per core."""
-    return workers or os.cpu_count() or 1

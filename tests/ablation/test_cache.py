@@ -65,7 +65,7 @@ def test_a_flipped_byte_is_noticed_said_and_removed(tmp_path, place):
     path.write_bytes(bytes(data))
     said: list[str] = []
     assert cache.get("features", e.key, said.append) is None
-    assert "made again" in said[0]
+    assert "computed again" in said[0]
     assert not path.exists()
 
 

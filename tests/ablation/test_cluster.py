@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from small_sweep import OPERATORS, InlineEngine, pairs
 
-from sfmkit.ablation import AblationTable, SweepState, ablate, run
+from sfmkit.ablation import AblationTable, SweepState, ablate, engine_choice, run
 from sfmkit.errors import InputError, OutputError
 
 pytestmark = pytest.mark.cluster
@@ -33,7 +33,7 @@ SEEDS = 2
 def truth(tmp_path_factory) -> AblationTable:
     folder = tmp_path_factory.mktemp("truth")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "LocalEngine", InlineEngine)
+        patch.setattr(engine_choice, "LocalEngine", InlineEngine)
         return ablate(pairs(folder / "images"), OPERATORS, seeds=SEEDS, cache=folder / "cache")
 
 

@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 from small_sweep import InlineEngine, pairs
 
-from sfmkit.ablation import run, worker
+from sfmkit.ablation import engine_choice, worker
 from sfmkit.cli import main
 from sfmkit.datasets import DATASETS
 
@@ -14,7 +14,7 @@ from sfmkit.datasets import DATASETS
 @pytest.fixture
 def cli(tmp_path, monkeypatch):
     """The command on two small pairs, which go under the name of a data set."""
-    monkeypatch.setattr(run, "LocalEngine", InlineEngine)
+    monkeypatch.setattr(engine_choice, "LocalEngine", InlineEngine)
     monkeypatch.setitem(
         DATASETS._registered,
         "oxford",

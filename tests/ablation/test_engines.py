@@ -15,7 +15,7 @@ import pytest
 import small_sweep
 from small_sweep import OPERATORS, InlineEngine, pairs
 
-from sfmkit.ablation import AblationTable, ablate, read_table, run
+from sfmkit.ablation import AblationTable, ablate, engine_choice, read_table
 from sfmkit.ablation.engines import ATTEMPTS, LocalEngine
 from sfmkit.ablation.plan import make_plan
 from sfmkit.ablation.version import engine_version
@@ -27,7 +27,7 @@ def truth(tmp_path_factory) -> AblationTable:
     """The rows of the small sweep, uninterrupted, in one process."""
     folder = tmp_path_factory.mktemp("truth")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "LocalEngine", InlineEngine)
+        patch.setattr(engine_choice, "LocalEngine", InlineEngine)
         return ablate(pairs(folder / "images"), OPERATORS, seeds=2, cache=folder / "cache")
 
 
@@ -218,7 +218,7 @@ def test_a_failing_unit_is_tried_job_by_job(tmp_path, monkeypatch):
                 return task, Outcome("failed", "the worker died 3 times")
             return task, outcome
 
-    monkeypatch.setattr(run, "LocalEngine", Fragile)
+    monkeypatch.setattr(engine_choice, "LocalEngine", Fragile)
     table = ablate(pairs(tmp_path / "i", 1, 0), ("orb", "akaze"), seeds=1, cache=tmp_path / "c")
     assert {(r["combination"], r["status"]) for r in table} == {
         ("orb", "ok"),

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from small_sweep import InlineEngine, pairs
 
-from sfmkit.ablation import ablate, merge, read_sweep, read_table, run, worker
+from sfmkit.ablation import ablate, engine_choice, merge, read_sweep, read_table, worker
 from sfmkit.ablation.merge import merge_shards
 from sfmkit.cli import main
 from sfmkit.errors import InputError
@@ -22,7 +22,7 @@ def shards(tmp_path_factory):
     home = tmp_path_factory.mktemp("shards")
     found = pairs(home / "images", 4, 1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "LocalEngine", InlineEngine)
+        patch.setattr(engine_choice, "LocalEngine", InlineEngine)
         for name, shard in (("whole", None), *((f"{k}", (k, 4)) for k in (1, 2, 3, 4))):
             worker._kept.clear()
             ablate(
@@ -47,7 +47,7 @@ def test_the_merged_shards_equal_the_whole_row_for_row(shards, tmp_path):
 
 
 def test_a_shard_that_is_run_again_changes_nothing(shards, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "LocalEngine", InlineEngine)
+    monkeypatch.setattr(engine_choice, "LocalEngine", InlineEngine)
     worker._kept.clear()
     again = tmp_path / "again"
     ablate(
@@ -64,7 +64,7 @@ def test_a_shard_that_is_run_again_changes_nothing(shards, tmp_path, monkeypatch
 
 def test_a_shard_that_was_killed_resumes_with_equal_rows(shards, tmp_path, monkeypatch):
     """The first run ends after its first estimate."""
-    monkeypatch.setattr(run, "LocalEngine", InlineEngine)
+    monkeypatch.setattr(engine_choice, "LocalEngine", InlineEngine)
     worker._kept.clear()
 
     def stop(state):

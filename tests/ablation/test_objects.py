@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sfmkit.ablation import ablate
+from sfmkit.ablation import ablate, engine_choice
 from sfmkit.ablation.cache import Cache
 from sfmkit.ablation.entry import Entry
 from sfmkit.ablation.objects import open_objects
@@ -78,9 +78,7 @@ def test_a_cache_in_every_store_keeps_bounds_and_checks_its_entries(location):
 def test_a_sweep_with_its_cache_in_a_bucket_gives_the_same_rows(bucket, tmp_path, monkeypatch):
     from small_sweep import InlineEngine, pairs
 
-    from sfmkit.ablation import run
-
-    monkeypatch.setattr(run, "LocalEngine", InlineEngine)
+    monkeypatch.setattr(engine_choice, "LocalEngine", InlineEngine)
     images = pairs(tmp_path / "images", 1, 1)
     table, truth = (
         ablate(images, ["orb", "akaze"], cache=cache)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from small_sweep import InlineEngine, pairs
 
-from sfmkit.ablation import ablate, read_sweep, read_table, run, worker
+from sfmkit.ablation import ablate, engine_choice, read_sweep, read_table, worker
 from sfmkit.ablation.folder import SweepFolder, write_sweep
 from sfmkit.errors import InputError, OutputError
 from sfmkit.pipeline.reconstruction import reconstruct
@@ -33,7 +33,7 @@ def engines(monkeypatch) -> list[InlineEngine]:
         started.append(InlineEngine(*args))
         return started[-1]
 
-    monkeypatch.setattr(run, "LocalEngine", start)
+    monkeypatch.setattr(engine_choice, "LocalEngine", start)
     worker._kept.clear()
     return started
 
@@ -204,7 +204,7 @@ def test_failures_are_not_remembered(sweep, monkeypatch, tmp_path):
     assert {r["status"] for r in sweep(out="good")} == {"ok"}
 
 
-def test_a_corrupt_cache_entry_is_made_again_and_said(sweep, tmp_path):
+def test_a_corrupt_cache_entry_is_computed_again_and_reported(sweep, tmp_path):
     first = sweep()
     for kind in ("features", "matches", "estimates"):
         file = sorted((tmp_path / "cache" / kind).glob("*/*.npz"))[0]
@@ -217,7 +217,7 @@ def test_a_corrupt_cache_entry_is_made_again_and_said(sweep, tmp_path):
     assert again.results() == first.results()
     notes = [note for p in seen for note in p.notes]
     assert {note.split()[2].split("/")[0] for note in notes} == {"features", "matches", "estimates"}
-    assert all("made again" in note for note in notes)
+    assert all("computed again" in note for note in notes)
 
 
 def test_a_full_disk_ends_the_sweep_with_a_message_and_what_was_done_stays(

@@ -62,7 +62,7 @@ def test_a_map_that_was_ended_twice_equals_an_undisturbed_one(tmp_path, monkeypa
     assert not out.exists()
     assert any(out.parent.iterdir())  # hidden, and removed by the next run
 
-    monkeypatch.setattr("sfmkit.mapping.matched_folder.LocalEngine", InlineEngine)
+    monkeypatch.setattr("sfmkit.ablation.engine_choice.LocalEngine", InlineEngine)
     whole = tmp_path / "whole"
     for wanted in (arguments, command(folder, tmp_path / "other", whole)):
         result = CliRunner().invoke(main, wanted)

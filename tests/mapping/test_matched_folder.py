@@ -28,7 +28,7 @@ from sfmkit.types import Matches
 def no_processes():
     """Work in this process: starting workers takes seconds."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sfmkit.mapping.matched_folder.LocalEngine", InlineEngine)
+        patch.setattr("sfmkit.ablation.engine_choice.LocalEngine", InlineEngine)
         yield
 
 
@@ -98,7 +98,7 @@ def test_the_same_call_takes_everything_from_the_cache(folder, cache, matched, m
     def no_engine(*_args):
         raise AssertionError("a worker was started")
 
-    monkeypatch.setattr("sfmkit.mapping.matched_folder.LocalEngine", no_engine)
+    monkeypatch.setattr("sfmkit.ablation.engine_choice.LocalEngine", no_engine)
     workshop = Workshop.of(cache, workers=1)
     again = match_folder(folder, intrinsics=K, operators=("orb", "fast-brief"), workshop=workshop)
     assert again.table == matched.table
@@ -145,7 +145,7 @@ def test_the_command_writes_the_table_and_refuses_an_existing_folder(folder, tmp
     out = tmp_path / "o"
     command = ["pairs", str(folder), "--intrinsics", K, "--operators", "orb,fast-brief"]
     command += ["--cache", str(tmp_path / "c"), "--out", str(out), "--workers", "1"]
-    monkeypatch.setattr("sfmkit.mapping.matched_folder.LocalEngine", LocalEngine)
+    monkeypatch.setattr("sfmkit.ablation.engine_choice.LocalEngine", LocalEngine)
     done = CliRunner().invoke(main, command)
     assert done.exit_code == 0, done.output
     assert "3 photographs, 3 pairs: 3 general" in done.output
@@ -166,6 +166,41 @@ def test_the_command_writes_the_table_and_refuses_an_existing_folder(folder, tmp
     again = CliRunner().invoke(main, command)
     assert again.exit_code == 2
     assert "exists" in again.output
+
+
+def test_two_cameras_of_different_sizes_in_two_subfolders(folder, cache, tmp_path):
+    """The second photograph is half as large, with half the focal length: equal rays."""
+    (tmp_path / "p/left").mkdir(parents=True)
+    (tmp_path / "p/right").mkdir()
+    (tmp_path / "p/left/0.png").write_bytes((folder / "0.png").read_bytes())
+    half = PIL.Image.open(folder / "1.png").resize((160, 120), PIL.Image.Resampling.BOX)
+    half.save(tmp_path / "p/right/1.png")
+    intrinsics = {"left": K, "right": "150,150,79.5,59.5"}
+    workshop = Workshop.of(cache, workers=1)
+    found = match_folder(
+        tmp_path / "p", intrinsics=intrinsics, operators=("surf", "orb"), workshop=workshop
+    )
+    assert [c.size_wh for c in found.plan.cameras.cameras] == [(320, 240), (160, 120)]
+    (row,) = found.table.to_pylist()
+    assert row["verdict"] == "general"
+    R = np.array([row[f"R{i}{j}"] for i in (1, 2, 3) for j in (1, 2, 3)]).reshape(3, 3)
+    assert np.degrees(np.arccos((np.trace(R) - 1) / 2)) < 1.5
+    assert abs(row["t1"]) > 0.95
+
+
+@pytest.mark.parametrize("copies", [0, 2])
+def test_the_command_refuses_a_folder_with_one_photograph(folder, tmp_path, copies):
+    (tmp_path / "p").mkdir()
+    for k in range(1 + copies):
+        (tmp_path / f"p/{k}.png").write_bytes((folder / "0.png").read_bytes())
+    (tmp_path / "p/broken.jpg").write_bytes(b"not an image")
+    done = CliRunner().invoke(
+        main, ["pairs", str(tmp_path / "p"), "--out", str(tmp_path / "o"), "--quiet"]
+    )
+    assert done.exit_code == 2
+    assert "holds 1 usable photographs and a pair takes two" in done.output
+    assert "broken.jpg" in done.output
+    assert not (tmp_path / "o").exists()
 
 
 def test_a_photograph_that_cannot_be_decoded_fails_its_pairs_only(folder, cache, tmp_path):
@@ -199,7 +234,7 @@ def test_an_interrupted_run_resumes_with_what_is_missing(folder, tmp_path, monke
         engines.append(InlineEngine(*arguments))
         return engines[-1]
 
-    monkeypatch.setattr("sfmkit.mapping.matched_folder.LocalEngine", engine)
+    monkeypatch.setattr("sfmkit.ablation.engine_choice.LocalEngine", engine)
 
     def stop_after_the_first_pair(state):
         if state.stage == "pairs" and state.done:

@@ -1,5 +1,4 @@
-"""What each operator contributes: the loss without it, and its Shapley value over all
-combinations."""
+"""The contribution of each operator: the loss without it, and its Shapley value."""
 
 from __future__ import annotations
 
@@ -14,22 +13,22 @@ from ...errors import InputError
 from .intervals import Interval, mean_interval
 from .scores import Scores, Setup
 
-NOTHING = 0.0  # the quality of no operator at all: no answer
+NOTHING = 0.0  # the quality of the empty set, which gives no answer
 
 Game = Mapping[frozenset[str], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
-    """Of the operators of a data set, in the unit of the quality (AUC).
+    """The contributions of the operators of a data set, as AUC.
 
     Attributes:
-        variant: preset and changed settings that they are of.
+        variant: preset and changed settings.
         operators: n names.
-        alone: quality of each by itself.
-        without: loss of quality when one is left out of all.
-        shapley: values, which add up to the quality of all; None where combinations are missing.
-        missing: then how many, and an example.
+        alone: quality of each single operator.
+        without: loss of quality when one operator is removed from all.
+        shapley: values, which add up to the quality of all; None if combinations are missing.
+        missing: the number of missing combinations, and an example.
     """
 
     variant: str
@@ -41,12 +40,13 @@ class Contributions:
 
 
 def shapley(game: Game, players: Sequence[str], nothing: float = NOTHING) -> np.ndarray:
-    """Exact Shapley values,
+    """Compute exact Shapley values.
+
     ``phi_i = sum over S without i of |S|! (n - |S| - 1)! / n! (v(S + i) - v(S))``.
 
     Args:
         game: value (...) of every non-empty set of players: numbers or arrays of one shape.
-        nothing: the empty set's value.
+        nothing: value of the empty set.
 
     Returns:
         (..., n).
@@ -54,7 +54,7 @@ def shapley(game: Game, players: Sequence[str], nothing: float = NOTHING) -> np.
     Source: Shapley 1953; the values add up to ``v(all) - nothing``.
 
     Raises:
-        InputError: combinations are missing; the message says which.
+        InputError: combinations are missing; the message lists an example.
     """
     missing = missing_combinations(game, players)
     if missing:

@@ -1,5 +1,4 @@
-"""Is one setup better than another? Paired differences, their intervals, and tests that are
-corrected for their number."""
+"""Paired differences between setups, with intervals and tests corrected for their number."""
 
 from __future__ import annotations
 
@@ -19,14 +18,14 @@ _EXACT = 200  # units up to which the null distribution is enumerated
 
 @dataclass(frozen=True)
 class Difference:
-    """One setup less another.
+    """The difference of two setups, the first minus the second.
 
     Attributes:
         first, second: setups.
         value, low, high: mean difference over the pairs with its 95 % interval; positive: the first
             is better.
         p: of Wilcoxon's signed-rank test, two-sided.
-        p_holm: corrected for all differences that were asked for together.
+        p_holm: corrected for all differences of the family.
         better, worse: pairs on which the first is better, and worse.
     """
 
@@ -42,7 +41,7 @@ class Difference:
 
     @property
     def real(self) -> bool:
-        """Whether test and interval both say that there is a difference."""
+        """Whether the test is significant and the interval excludes zero."""
         return self.p_holm < ALPHA and (self.low > 0 or self.high < 0)
 
 
@@ -79,9 +78,9 @@ def differences(
 
 
 def signed_rank(d: np.ndarray) -> float:
-    """Two-sided p of Wilcoxon's signed-rank test, exact also with ties; zero differences are left
-    out.
+    """Compute the two-sided p of Wilcoxon's signed-rank test, exact also with ties.
 
+    Zero differences are left out.
     The null distribution, every sign as likely as the other, is enumerated by adding one rank after
     the other; beyond 200 differences the normal approximation is used. 1 where nothing differs.
 
@@ -112,8 +111,10 @@ def least_p(units: int, tests: int = 1) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """p-values such that rejecting those below α keeps the chance of any false rejection below α
-    (Holm 1979)."""
+    """Correct p-values for their number (Holm 1979).
+
+    Rejecting those below α keeps the probability of any false rejection below α.
+    """
     values = np.asarray(p, dtype=np.float64)
     order = np.argsort(values, kind="stable")
     stepped = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))

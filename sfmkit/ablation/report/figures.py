@@ -1,5 +1,5 @@
-"""The plots of an ablation's report. Whiskers are 95 % intervals; colours are the operators',
-combinations are grey."""
+"""The plots of an ablation's report. Whiskers are 95 % intervals; operators have
+colours, combinations are grey."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .tables import slug
 INK, SOFT = "#333333", "#999999"
 MANY = "#555555"
 WIDTH = 7  # inches
-# With the colours, for eyes that do not tell these apart; others are pentagons.
+# In addition to the colours, for readers who cannot distinguish these; others are pentagons.
 _MARKERS = {
     "surf": "o",
     "orb": "s",
@@ -67,7 +67,7 @@ def figures(f: Findings, folder: Path) -> list[ResultFigure]:
                 contribution_figure(c, unit),
                 folder,
                 f"{name}-contributions{which}.png",
-                f"{s.dataset}{f', {c.variant}' if s.several else ''}: what each operator gives",
+                f"{s.dataset}{f', {c.variant}' if s.several else ''}: contributions",
                 "For every operator: its AUC alone, the loss without it, and its Shapley value, "
                 "with 95 % intervals",
             )
@@ -91,7 +91,7 @@ def draw_ranking(
 
 
 def auc_figure(f: Findings) -> Figure:
-    """Setups with their AUC at the main threshold, best first."""
+    """Draw the setups with their AUC at the main threshold, best first."""
     s = f.scores
     figure = Figure(figsize=(WIDTH, 1.2 + 0.24 * len(s.setups)), layout="constrained")
     ax = figure.add_subplot()
@@ -109,8 +109,7 @@ def auc_figure(f: Findings) -> Figure:
 
 
 def pareto_figure(f: Findings) -> Figure:
-    """Error, cut at the main threshold, over seconds a pair; the front is a line, and its setups
-    have their names."""
+    """Draw the error, clipped at the main threshold, over the seconds per pair, and the front."""
     s, main, unit = f.scores, f.scores.measure.main, f.scores.measure.unit
     auc, time = f.auc[main], f.seconds
     error = Interval(
@@ -171,7 +170,7 @@ def pareto_figure(f: Findings) -> Figure:
 
 
 def contribution_figure(c: Contributions, unit: str) -> Figure:
-    """Alone, loss without, and Shapley value, side by side."""
+    """Draw the quality alone, the loss without, and the Shapley value of every operator."""
     parts = [("alone", c.alone), ("loss without it", c.without), ("Shapley value", c.shapley)]
     shown = [(title, interval) for title, interval in parts if interval is not None]
     figure = Figure(figsize=(WIDTH, 1.3 + 0.32 * len(c.operators)), layout="constrained")
@@ -189,8 +188,7 @@ def contribution_figure(c: Contributions, unit: str) -> Figure:
 
 
 def ranking_figure(labels: Sequence[str], setups: Sequence[Setup], r: Ranking) -> Figure:
-    """A critical-difference diagram with a row a setup: bars half the critical difference long to
-    either side."""
+    """Draw a critical-difference diagram: one row per setup, with bars of half the difference."""
     figure = Figure(figsize=(WIDTH, 1.3 + 0.24 * len(labels)), layout="constrained")
     ax = figure.add_subplot()
     half = r.critical_difference / 2
@@ -201,12 +199,12 @@ def ranking_figure(labels: Sequence[str], setups: Sequence[Setup], r: Ranking) -
         xlabel=f"average rank over {r.blocks} {r.unit}s (1: best on all of them)",
         xlim=(1 - half - 0.3, None),
     )
-    ax.set_title("bars that overlap: not told apart", fontsize=10)
+    ax.set_title("bars that overlap: no significant difference", fontsize=10)
     return figure
 
 
 def _look(setup: Setup) -> tuple[str, str]:
-    """Colour and marker: a single operator has its own, combinations are grey."""
+    """Return colour and marker; single operators have their own, combinations are grey."""
     if len(setup.operators) > 1:
         return SOFT if len(setup.operators) == 2 else MANY, "."
     return operator_colour(setup.operators[0]), _MARKERS.get(setup.operators[0], "p")
@@ -221,7 +219,7 @@ def _whisker(ax, values: tuple[float, float, float], y: float, setup: Setup) -> 
 
 
 def _rows(ax, labels: list[str]) -> None:
-    """One row a label, from the top."""
+    """Label the rows from the top."""
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
     ax.set_ylim(len(labels) - 0.4, -0.6)
     ax.grid(axis="x", alpha=0.25)

@@ -1,4 +1,4 @@
-"""All that is found out about one data set of an ablation, and the answers in words."""
+"""The findings on one data set of an ablation, and the answers in words."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ _SATURATED = 0.95  # AUC of the worse half of the setups
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Of one data set; arrays over its C setups.
+    """The findings on one data set; arrays over its C setups.
 
     Attributes:
-        scores: what it was found out from.
+        scores: the scores that were analysed.
         auc: threshold -> area under the curve.
         median, mean: error in the measure's unit; in the mean, failures and what is worse count as
             the ceiling.
-        seconds: mean of a pair, all stages, of the pairs that every setup has a time for.
-        front: setups that no other beats in both time and AUC.
+        seconds: mean per pair over all stages, of the pairs with a time of every setup.
+        front: setups on the Pareto front of time and AUC.
         chance_best: share of bootstrap samples in which each has the largest AUC.
-        best, runner_up: setups with the largest AUC; the smaller one where several have it. No
-            runner-up to a single one.
-        questions: the best against the runner-up and against every operator alone, one family of
+        best, runner_up: the setups with the largest and the next AUC; of equal ones the smaller
+            combination. No runner-up if there is one setup.
+        questions: the best against the runner-up and against every single operator, one family of
             tests.
         rivals: the best against every other setup, one family of tests.
         every: all differences, one family of tests.
-        fusion: all operators together against the one that is best alone, with the best's preset
-            and settings; None where the sweep does not have both.
-        ranking: None for a single setup.
-        contributions: for each preset and choice of settings.
+        fusion: all operators together against the best single one, with the preset and settings of
+            the best setup; None if the sweep does not have both.
+        ranking: None if there is one setup.
+        contributions: one for each preset and choice of settings.
     """
 
     scores: Scores
@@ -62,12 +62,12 @@ class Findings:
 
     @property
     def order(self) -> np.ndarray:
-        """Setups, best first."""
+        """The setups, best first."""
         return np.argsort(-np.round(self.scores.quality.mean(0), 12), kind="stable")
 
     @property
     def equals(self) -> list[int]:
-        """The best and all that it has not been shown to be better than."""
+        """The best setup and all that are not shown to be worse."""
         worse = {d.second for d in (*self.questions, *self.rivals) if d.real}
         return [self.best, *(d.second for d in self.rivals if d.second not in worse)]
 
@@ -113,7 +113,7 @@ def analyse(scores: Scores) -> Findings:
 
 
 def _seconds(scores: Scores) -> Interval:
-    """Mean over the pairs that no setup lacks a time for."""
+    """Mean over the pairs with a time of every setup."""
     known = ~np.isnan(scores.seconds)
     counts = known.sum(2)
     a_pair = np.divide(
@@ -130,8 +130,7 @@ def _seconds(scores: Scores) -> Interval:
 
 
 def overall(ablation: Ablation) -> tuple[tuple[str, ...], Ranking] | None:
-    """Names and ranking of the setups over the pairs of all data sets; None where the data sets
-    differ in their setups.
+    """Rank the setups over all data sets; None if the data sets have different setups.
 
     Ranks have no unit, so errors in pixels and in degrees can be combined. Every scene or pair has
     the same weight, whatever its data set.
@@ -149,8 +148,11 @@ def overall(ablation: Ablation) -> tuple[tuple[str, ...], Ranking] | None:
 
 
 def answers(f: Findings) -> list[str]:
-    """Which setup is best, is that real, what would do as well in less time, and what does each
-    operator give."""
+    """Answer the main questions on a data set in sentences.
+
+    Which setup is best, is the difference significant, which setup is as good in less time, and
+    what does each operator contribute?
+    """
     s = f.scores
     n, unit = len(s.pairs), s.measure.show(s.measure.main)
     runs = n * s.seeds
@@ -168,9 +170,8 @@ def answers(f: Findings) -> list[str]:
     ]
     if broken := int(s.broken.sum()):
         words.append(
-            f"{broken:,} of all {s.broken.size:,} runs failed, and count as the worst there is; "
-            "the column failure of the sweep's "
-            "table says why."
+            f"{broken:,} of all {s.broken.size:,} runs failed, and count as the largest error; "
+            "the column failure of the table of the sweep states the reason."
         )
     if len(s.units) < _FEW:
         words.append(
@@ -243,7 +244,7 @@ def _fusion(f: Findings, d: Difference) -> str:
 
 
 def _cheapest(f: Findings) -> str:
-    """Which setups would do as well, and the fastest of them."""
+    """State which setups are not shown to be worse, and the fastest of them."""
     s, equal = f.scores, f.equals
     if len(equal) == 1:
         return f"It is better than every other of the {len(s.setups)} setups."

@@ -1,5 +1,4 @@
-"""The report of an ablation as one self-contained HTML page: nothing is fetched, tables are sorted
-by a click on a head."""
+"""The report of an ablation as one self-contained HTML page with sortable tables."""
 
 from __future__ import annotations
 
@@ -17,9 +16,9 @@ class Section:
     """A part of the page.
 
     Attributes:
-        title: its head.
-        answers: sentences about it, which open the page.
-        tables, figures: that follow; tables whose name is in `folded` are closed at first.
+        title: its heading.
+        answers: sentences, shown at the top of the page.
+        tables, figures: shown below; tables whose name is in `folded` are collapsed at first.
     """
 
     title: str
@@ -37,13 +36,15 @@ def ablation_page(
     facts: Mapping[str, str],
     folder: Path,
 ) -> str:
-    """The page.
+    """Make the page.
 
     Args:
+        title: the title.
         lead: one paragraph below the title.
-        notes: how to read it.
-        facts: circumstances.
-        folder: where the figures are; they are taken into the page.
+        sections: the parts.
+        notes: how to read the page.
+        facts: name -> value, shown at the end.
+        folder: the folder of the figures, which are embedded in the page.
     """
     words = "".join(page.heading(s.title) + _list(s.answers) for s in sections if s.answers)
     parts = [
@@ -66,7 +67,7 @@ def _section(section: Section, folder: Path) -> str:
 
 
 def sortable(t: ResultTable, folded: bool = False) -> str:
-    """A table whose heads are buttons that sort it; a folded one is closed at first."""
+    """Make a table with headings that sort it; a folded one is collapsed at first."""
     heads = "".join(
         f'<th scope="col" aria-sort="none"{_right(c.right)}>'
         f'<button type="button">{_breaking(c.name)}</button></th>'

@@ -1,4 +1,4 @@
-"""Which setups are worth their time."""
+"""The Pareto front of time and error."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 
 
 def pareto_front(cost: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """(C,) bool: setups that no other one beats, being no worse in both and better in one.
+    """Find the setups that no other dominates: (C,) bool.
+
+    A setup dominates another if it is not worse in both values and better in one.
 
     Args:
-        cost, error: (C,), smaller is better; NaN is on no front.
+        cost, error: (C,), smaller is better; a setup with NaN is not on the front.
     """
     known = np.isfinite(cost) & np.isfinite(error)
     no_worse = (cost[:, None] <= cost) & (error[:, None] <= error)

@@ -13,15 +13,15 @@ from .differences import ALPHA
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Average ranks, 1 the best.
+    """Average ranks; 1 is the best.
 
     Attributes:
         average: (C,) in the order of the setups.
         order: (C,) setups, best first.
-        statistic, p: Friedman's, of the hypothesis that all setups are alike.
-        critical_difference: average ranks that lie closer are not told apart.
-        groups: (first, last) places in `order` of the largest groups of setups that are not told
-            apart.
+        statistic, p: Friedman's, of the hypothesis that all setups are equal.
+        critical_difference: smaller differences of average ranks are not significant.
+        groups: (first, last) places in `order` of the largest groups of setups without significant
+            differences.
         blocks: number of scenes or pairs on which the setups were ranked.
         unit: ``scene``, ``pair`` or both.
     """
@@ -37,7 +37,7 @@ class Ranking:
 
 
 def rank(quality: np.ndarray, alpha: float = ALPHA, *, unit: str = "pair") -> Ranking:
-    """Rank setups on every scene or pair, and compare the average ranks.
+    """Rank setups on every scene or pair and compare the average ranks.
 
     Args:
         quality: (G, C) larger is better; ties share their ranks.
@@ -77,7 +77,7 @@ def rank(quality: np.ndarray, alpha: float = ALPHA, *, unit: str = "pair") -> Ra
 
 
 def _groups(ordered: np.ndarray, cd: float) -> tuple[tuple[int, int], ...]:
-    """The runs of sorted average ranks that span less than `cd` and lie within no other."""
+    """The maximal runs of sorted average ranks that span less than `cd`."""
     runs: list[tuple[int, int]] = []
     for first, lowest in enumerate(ordered):
         last = int(np.flatnonzero(ordered - lowest < cd)[-1])

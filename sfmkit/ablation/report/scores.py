@@ -1,8 +1,7 @@
-"""What a sweep measured, as arrays: pair x setup x seed, one block for each data set.
+"""The scores of a sweep as arrays: pair x setup x seed, one block for each data set.
 
-Everything that is computed of an ablation starts here. Runs without an answer stay in: a
-combination that gives up, or whose run fails, has an infinite error, the worst there is, so
-that no average improves by leaving hard pairs out.
+Runs without an answer are included: a combination without an estimate, or whose run failed, has an
+infinite error, so that no average improves by leaving out difficult pairs.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Measure:
-    """How an error counts.
+    """How an error is scored.
 
     Attributes:
         unit: ``px`` or ``°``.
-        name: what the error is.
-        thresholds: of the areas under the curve, in the unit.
-        main: the one that setups are compared by.
-        ceiling: what no error, and no failure, exceeds in a mean.
+        name: the error in words.
+        thresholds: those of the areas under the curve, in the unit.
+        main: the threshold at which setups are compared.
+        ceiling: largest error in medians and means; larger errors and failures are clipped to it.
     """
 
     unit: str
@@ -54,7 +53,7 @@ class Measure:
     ceiling: float
 
     def show(self, value: float) -> str:
-        """A value with its unit."""
+        """Format a value with its unit."""
         return f"{value:g}°" if self.unit == "°" else f"{value:g} {self.unit}"
 
     def at(self, threshold: float | None) -> Measure:
@@ -84,7 +83,7 @@ MEASURES = {
 
 @dataclass(frozen=True)
 class Setup:
-    """What is compared: operators, with a preset and changed settings."""
+    """Operators with a preset and changed settings."""
 
     operators: tuple[str, ...]
     preset: str
@@ -101,8 +100,7 @@ class Setup:
         return f"{self.preset}, {changed}" if changed else self.preset
 
     def only(self, operators: Iterable[str]) -> Setup:
-        """The setup of some of the operators with what of the changes concerns them: a sweep has no
-        other."""
+        """Return the setup of some of the operators, with the changes that concern them."""
         some = tuple(operators)
         changes = {
             k: v for k, v in json.loads(self.vary).items() if k.rpartition(".")[0] in ("", *some)
@@ -112,19 +110,19 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One data set's errors.
+    """The errors on one data set.
 
     Attributes:
         dataset: its name.
-        measure: what the errors are.
+        measure: how errors are scored.
         pairs: P names.
         scenes: the scene (sequence) of each pair.
         units: what intervals and tests take as independent, scenes or pairs.
-        setups: C of them, small combinations first.
-        operators: of the sweep, in its order.
-        errors: (P, C, S), in the measure's unit; infinite where there is no answer.
-        seconds: (P, C, S) of all stages, as if the setup ran alone; NaN where a run failed.
-        broken: (P, C, S) bool: runs that failed, as opposed to runs without an answer.
+        setups: C setups, small combinations first.
+        operators: those of the sweep, in its order.
+        errors: (P, C, S), in the unit of the measure; infinite without an answer.
+        seconds: (P, C, S) of all stages, as if the setup ran alone; NaN if the run failed.
+        broken: (P, C, S) bool: runs that failed, in contrast to runs without an answer.
     """
 
     dataset: str
@@ -139,8 +137,10 @@ class Scores:
     broken: np.ndarray
 
     def auc(self, threshold: float) -> np.ndarray:
-        """(P, C) area under "share of the seeds with an error of at most e", e from 0 to the
-        threshold, over it.
+        """Compute the area under the curve of every pair and setup, (P, C).
+
+        This is the area under the share of the seeds with an error of at most e, for e from 0 to
+        the threshold, divided by the threshold.
 
         The mean over the pairs is the AUC over all pairs and seeds, so intervals and contributions
         are linear in it.
@@ -149,12 +149,12 @@ class Scores:
 
     @cached_property
     def quality(self) -> np.ndarray:
-        """(P, C) the AUC that setups are compared by; 0 for no answer, 1 for no error."""
+        """(P, C) the AUC at the main threshold; 0 for no answer, 1 for no error."""
         return self.auc(self.measure.main)
 
     @cached_property
     def capped(self) -> np.ndarray:
-        """(P, C, S) errors with failures, and what is worse than them, at the ceiling."""
+        """(P, C, S) errors, clipped to the ceiling."""
         return np.minimum(self.errors, self.measure.ceiling)
 
     @property
@@ -168,11 +168,11 @@ class Scores:
 
     @cached_property
     def several(self) -> bool:
-        """Whether setups differ in more than their operators."""
+        """Whether setups differ in preset or settings."""
         return len({(s.preset, s.vary) for s in self.setups}) > 1
 
     def label(self, setup: int) -> str:
-        """A setup's name in tables and plots."""
+        """The name of a setup in tables and plots."""
         s = self.setups[setup]
         return f"{s.combination} ({s.changes})" if self.several else s.combination
 
@@ -188,12 +188,11 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class Ablation:
-    """A sweep's scores.
+    """The scores of a sweep.
 
     Attributes:
         blocks: one for each data set (and unit, where a data set has pairs of both kinds).
-        without_truth: names of data sets, or parts of them, whose rows cannot be scored, with how
-            many rows these are.
+        without_truth: name of a data set -> number of rows that cannot be scored.
     """
 
     blocks: tuple[Scores, ...]
@@ -276,8 +275,8 @@ def _block(dataset: str, measure: Measure, rows: Sequence[Row], units: Choice) -
         raise InputError(
             f"{dataset}: {int(np.isnan(errors).sum())} of {errors.size} rows are missing, e.g. "
             f"{pairs[p]}, "
-            f"{setups[c].combination}, seed {seeds[s]}; end the sweep first, with the command "
-            "that began it"
+            f"{setups[c].combination}, seed {seeds[s]}; finish the sweep first, with the command "
+            "that started it"
         )
     return Scores(
         dataset,

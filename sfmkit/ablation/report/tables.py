@@ -25,7 +25,10 @@ def tables(f: Findings) -> list[ResultTable]:
     if f.questions:
         made.append(
             _difference_table(
-                f, "questions", f.questions, f"{f.scores.dataset}: is the best really better?"
+                f,
+                "questions",
+                f.questions,
+                f"{f.scores.dataset}: is the best setup significantly better?",
             )
         )
     made += [_contribution_table(f, c) for c in f.contributions]
@@ -75,7 +78,7 @@ def setup_table(f: Findings) -> ResultTable:
         f"The error is the {s.measure.name}. AUC: area under the curve of the share of runs "
         "within an error; a run without an "
         f"answer counts as an infinite error there, and as {s.measure.show(s.measure.ceiling)}, "
-        "the most that any run counts, in "
+        "the largest value of a run, in "
         f"median and mean. No answer: of {len(s.pairs) * s.seeds} runs. On the front: no other "
         "setup is both faster and better. Best in: share "
         f"of the bootstrap samples of the {s.units.count()}. Seconds: all stages on one "
@@ -182,15 +185,15 @@ def _contribution_table(f: Findings, c: Contributions) -> ResultTable:
     note = (
         f"In units of AUC {s.measure.show(s.measure.main)}. Loss without: all operators together "
         "less all but this one. Shapley: its mean "
-        "gain over every order in which the operators may join; the values add up to what all "
-        "reach together, no operator counting as no answer, 0."
+        "gain over all orders in which the operators can be added; the values add up to the AUC of "
+        "all operators, and the empty set has the value 0."
     )
     if c.missing:
         note += f" Shapley values need every combination; {c.missing}."
     file = f"{slug(s.dataset)}-contributions" + (f"-{slug(c.variant)}" if s.several else "")
     return ResultTable(
         file,
-        f"{s.dataset}{which}: what each operator gives",
+        f"{s.dataset}{which}: contributions of the operators",
         (Column("operator"), *heads),
         tuple(rows),
         note,
@@ -209,7 +212,7 @@ def ranking_table(dataset: str, labels: tuple[str, ...], r: Ranking) -> ResultTa
         f"Setups ranked on each of {r.blocks} {r.unit}s by their AUC, 1 the best. Friedman's χ² = "
         f"{r.statistic:.1f}, p = {r.p:.2g}. Nemenyi's critical "
         f"difference (α = 0.05) is {r.critical_difference:.2f}: setups that share a letter are "
-        "not told apart."
+        "not significantly different."
     )
     columns = (Column("setup"), Column("average rank", ".2f"), Column("group"))
     return ResultTable(f"{slug(dataset)}-ranking", f"{dataset}: ranks", columns, tuple(rows), note)

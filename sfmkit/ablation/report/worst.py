@@ -1,4 +1,4 @@
-"""The worst cases of an ablation, run again to be looked at."""
+"""The worst cases of an ablation, repeated for inspection."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from ..variants import JOIN, Variant
 from .findings import Findings
 from .scores import MEASURES, Row
 
-_BETTER = 0.9  # of the error: what is not as much better shows nothing
+_BETTER = 0.9  # a run with a larger share of the error is not shown for comparison
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A run that went badly.
+    """A run with a large error.
 
     Attributes:
         row: the run.
-        better: the run that did best on the same pair, None where none did much better.
-        pair: images, cameras and truth, as the sweep's folder has them.
+        better: the best run on the same pair; None if none is much better.
+        pair: images, cameras and truth, as stored in the folder of the sweep.
     """
 
     row: Row
@@ -46,14 +46,14 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Rerun:
-    """A run made again.
+    """A repeated run.
 
     Attributes:
-        row: as it was in the sweep.
+        row: the row of the sweep.
         images: of the pair.
-        result: what it gave this time; None where it failed, for `failure`.
-        failure: why.
-        same: whether the estimate is that of the sweep, to a millionth.
+        result: the new result; None if it failed.
+        failure: the reason of the failure.
+        same: whether the estimate equals that of the sweep, to a relative difference of 1e-6.
     """
 
     row: Row
@@ -205,7 +205,7 @@ def _same(pairs: Iterable[tuple[Any, Any]]) -> bool:
 
 
 def describe(case: Case, run: Rerun) -> str:
-    """What this run was and how it went, as Markdown."""
+    """Describe a run and its result as Markdown."""
     row = run.row
     measure = MEASURES[row["error_unit"]]
 
@@ -237,6 +237,7 @@ def describe(case: Case, run: Rerun) -> str:
         lines.append(f"The rerun failed: {run.failure}")
     elif not run.same:
         lines.append(
-            "The rerun gave another estimate than the sweep: another machine, or other code."
+            "The estimate of the rerun differs from that of the sweep: another machine or other "
+            "code."
         )
     return "\n\n".join(line for line in lines if line)

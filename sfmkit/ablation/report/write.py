@@ -28,16 +28,16 @@ _NOTES = (
     "A setup is a combination of operators with a preset. All are compared by the area under the "
     "curve (AUC) of the share of "
     "runs whose error is below e, for e from 0 to a threshold, divided by the threshold: 1 means "
-    "no error at all, 0 that no run came "
-    "below the threshold. A run that gave no answer, or failed, is in every number as the worst "
-    "there is; nothing is left out.",
+    "no error, 0 that no run has an error "
+    "below the threshold. A run without an answer, or that failed, counts in every number as the "
+    "largest error; nothing is left out.",
     "Intervals contain the true value in about 95 of 100 such experiments. They are bootstrap "
     "intervals over the scenes of a data set, or over its pairs if it has fewer than five scenes "
     "(--units changes this). A scene is drawn with all of its pairs and a pair with all of its "
     "seeds, because neither the pairs of one scene nor the seeds of one pair are independent: only "
     "more scenes say more about other scenes. When two intervals overlap, the difference can still "
     "be real, because both setups ran on the same pairs: see the table of differences.",
-    "A p-value is the chance of a difference at least as large as this one if there were none. "
+    "A p-value is the probability of a difference at least as large as this one if there is none. "
     "Among hundreds of differences some "
     "are large by chance, so p-values are corrected by Holm's method for all that are tested "
     "together. 'Not shown' does not mean "
@@ -50,12 +50,12 @@ _NOTES = (
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What was written.
+    """The files of a report.
 
     Attributes:
         page: the HTML file.
         files: all files, the page among them.
-        sections: its parts, with the answers.
+        sections: the parts of the page, with the answers.
         findings: one for each data set.
     """
 
@@ -198,9 +198,9 @@ def _together(ablation: Ablation, folder: Path) -> Section | None:
 def _lead(ablation: Ablation) -> str:
     left = ", ".join(f"{n:,} rows of {name}" for name, n in ablation.without_truth.items())
     return (
-        "Which detectors help, on which data, by how much, and with which uncertainty? The "
-        "answers first, for each data set; then what they rest on."
-        + (f" Without a true geometry to compare with, and so not judged: {left}." if left else "")
+        "Which detectors help, on which data, by how much, and with which uncertainty? The page "
+        "starts with the answers for each data set; tables and figures follow."
+        + (f" Not evaluated, because there is no true geometry: {left}." if left else "")
     )
 
 

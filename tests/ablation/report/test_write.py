@@ -144,7 +144,7 @@ def test_runs_that_broke_are_the_worst_and_rows_without_a_truth_are_said(rows):
 
 def test_incomplete_and_truthless_sweeps_are_refused_with_what_to_do(rows):
     with pytest.raises(
-        InputError, match=r"1 of 420 rows are missing, e.g. scene0 1-2, surf, seed 0; end the sweep"
+        InputError, match=r"1 of 420 rows are missing, e.g. scene0 1-2, surf, seed 0; finish"
     ):
         score(rows[1:])
     with pytest.raises(InputError, match="is there twice"):
