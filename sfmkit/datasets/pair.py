@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -211,17 +210,6 @@ def image_size(path: Path) -> tuple[int, int]:
                 return picture.size[::-1] if turned else picture.size
     except Exception:  # Pillow raises almost anything; reading the image states what is wrong
         return read_image(path).size_wh
-
-
-def neighbours(files: list[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
-    """Pair each photograph with the next one.
-
-    Raises:
-        InputError: There are fewer than two.
-    """
-    if len(files) < 2:
-        raise InputError(f"{folder} holds {len(files)} photographs; a pair takes two")
-    return pairwise(files)
 
 
 def read_homography(path: str | os.PathLike) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..io.intrinsics import parse_intrinsics
 from ..io.truth import read_truth
 from ..types import Camera
-from .pair import Pair, choose_sequences, data_root, image_files, image_size, neighbours
+from .pair import Pair, choose_sequences, data_root, image_files, image_size
 
 
 def strecha(
@@ -42,21 +42,25 @@ def strecha(
     for sequence in choose_sequences(home, present, sequences):
         folder = home / sequence
         files = image_files(folder / "images")
-        for k in range(step):
-            for a, b in neighbours(files[k::step], folder / "images"):
-                one, two = (_truth_of(folder, image) for image in (a, b))
-                R, t = read_truth(f"{one},{two}")
-                yield Pair(
-                    "strecha",
-                    sequence,
-                    f"{a.stem}-{b.stem}",
-                    a,
-                    b,
-                    _camera(one, a),
-                    _camera(two, b),
-                    R=R,
-                    t=t,
-                )
+        if len(files) <= step:
+            raise InputError(
+                f"{folder / 'images'} holds {len(files)} photographs; "
+                f"pairs {step} apart take {step + 1}"
+            )
+        for a, b in zip(files, files[step:]):
+            one, two = (_truth_of(folder, image) for image in (a, b))
+            R, t = read_truth(f"{one},{two}")
+            yield Pair(
+                "strecha",
+                sequence,
+                f"{a.stem}-{b.stem}",
+                a,
+                b,
+                _camera(one, a),
+                _camera(two, b),
+                R=R,
+                t=t,
+            )
 
 
 def _truth_of(folder: Path, image: Path) -> Path:

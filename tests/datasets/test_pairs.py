@@ -9,6 +9,7 @@ from PIL import Image
 from sfmkit.datasets import Pair, pairs
 from sfmkit.datasets.colmap import colmap
 from sfmkit.datasets.pair import data_root, image_files, read_homography
+from sfmkit.datasets.strecha import strecha
 from sfmkit.errors import InputError
 
 EYE = "1 0 0\n0 1 0\n0 0 1\n"
@@ -193,3 +194,28 @@ def test_shared_oxford_and_strecha(data_dir):
     first = next(iter(pairs("strecha", data_dir)))
     assert first.name == "0000-0001"
     assert abs(np.linalg.det(first.R) - 1) < 1e-5
+
+
+def test_pairs_of_a_sequence_more_than_half_its_length_apart(tmp_path):
+    """A step of 2 in three photographs leaves one pair, a step of 3 none."""
+    sequence = tmp_path / "strecha" / "wall"
+    (sequence / "images").mkdir(parents=True)
+    (sequence / "gt_dense_cameras").mkdir()
+    for k in range(3):
+        Image.new("RGB", (8, 6)).save(sequence / "images" / f"{k}.png")
+        rows = [
+            [9, 0, 3.5],
+            [0, 9, 2.5],
+            [0, 0, 1],
+            [0, 0, 0],
+            *np.eye(3).tolist(),
+            [k, 0, 0],
+            [8, 6],
+        ]
+        text = "\n".join(" ".join(map(str, row)) for row in rows)
+        (sequence / "gt_dense_cameras" / f"{k}.png.camera").write_text(text)
+    (pair,) = strecha(tmp_path, ["wall"], step=2)
+    assert pair.name == "0-2"
+    np.testing.assert_array_equal(pair.t, [-2, 0, 0])
+    with pytest.raises(InputError, match="pairs 3 apart take 4"):
+        list(strecha(tmp_path, ["wall"], step=3))
