@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
 
 import numpy as np
 import PIL.Image
@@ -163,7 +164,7 @@ def test_unknown_rules_are_refused(text):
 
 
 def test_two_thousand_photographs_are_planned_without_reading_them(tmp_path):
-    """Measured: 1.1 s of processor time for 2,000 files."""
+    """Measured: 0.5 s of processor time and 6.5 MB for 2,000 files, without tracing."""
     from sfmkit.mapping.matched_folder import Workshop, plan_folder
     from sfmkit.mapping.planning import make_recipe
 
@@ -171,11 +172,16 @@ def test_two_thousand_photographs_are_planned_without_reading_them(tmp_path):
     data = (tmp_path / "0.jpg").read_bytes()
     for k in range(2_000):
         (tmp_path / f"{k}.jpg").write_bytes(data + k.to_bytes(2, "big"))
+    recipe, workshop = make_recipe(["orb"]), Workshop.of(tmp_path / "cache")
+    tracemalloc.start()
     began = time.process_time()
-    found = read_collection(tmp_path)
-    workshop = Workshop.of(tmp_path / "cache")
-    plan = plan_folder(found, make_recipe(["orb"]), workshop, pairs="sequential:10")
-    assert plan.seconds() > 0
-    assert time.process_time() - began < 10
+    try:
+        found = read_collection(tmp_path)
+        plan = plan_folder(found, recipe, workshop, pairs="sequential:10")
+        assert plan.seconds() > 0
+        assert time.process_time() - began < 10
+        assert tracemalloc.get_traced_memory()[1] < 30e6
+    finally:
+        tracemalloc.stop()
     assert len(plan) == 2_000 * 10 - 55
     assert len(plan.cameras.cameras) == 1
