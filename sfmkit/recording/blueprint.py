@@ -283,7 +283,9 @@ def _epipolar(layout: Layout) -> rrb.Vertical:
     return rrb.Vertical(
         rrb.Horizontal(*(_image(layout, i, f"Image {i}: epipolar lines", *what) for i in (1, 2))),
         rrb.Horizontal(
-            _space(layout, "Four poses: points in front (green: chosen)", "poses/**", near=True),
+            _space(
+                layout, "Four poses: points in front (green: chosen)", "poses/**", "note", near=True
+            ),
             rrb.Tabs(
                 *(charts if layout.history else []),
                 rrb.TextDocumentView(origin=f"{root}/verdict", name="Verdict"),
@@ -300,7 +302,9 @@ def _improvements(layout: Layout, name: str) -> rrb.BarChartView:
 
 def _motion(layout: Layout) -> rrb.Horizontal:
     return rrb.Horizontal(
-        _space(layout, "Four poses: points in front (green: chosen)", "poses/**", near=True),
+        _space(
+            layout, "Four poses: points in front (green: chosen)", "poses/**", "note", near=True
+        ),
         _space(layout, "Chosen pose", "baseline", near=True),
     )
 
@@ -315,12 +319,12 @@ def _rivals(layout: Layout) -> rrb.Horizontal:
 
 def _cloud(layout: Layout) -> rrb.Grid:
     views = [
-        _space(layout, "Photograph", "points/photograph"),
-        _space(layout, "Operator", "points/operator"),
-        _space(layout, "Density: points per volume", "points/density"),
+        _space(layout, "Photograph", "points/photograph", "points/note"),
+        _space(layout, "Operator", "points/operator", "points/note"),
+        _space(layout, "Density: points per volume", "points/density", "points/note"),
     ]
     if layout.covariance:
-        what = ("points/uncertainty", "ellipsoids")
+        what = ("points/uncertainty", "ellipsoids", "points/note")
         views.append(_space(layout, "Uncertainty: standard deviation", *what))
     else:
         views.append(_image(layout, 1, "Residuals, 50 times longer", "residuals"))

@@ -396,14 +396,19 @@ def _log_current(
 
 
 def _log_notes(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> None:
-    """Words in the views that are empty at the first stages."""
+    """Log what is missing in the views that are empty at the first stages."""
     (w, h), size = result.two_view.camera1.size_wh, rr.Radius.ui_points(1)
-    matches, pose, points = map(STAGES.index, ("match", "pose", "triangulate"))
-    for at, note, until in (
-        ("matches/current/note", f"no matches before stage {matches}", "match"),
-        ("world/note", f"no pose before stage {pose}, no points before stage {points}", "pose"),
+    for at, what, until in (
+        ("matches/current/note", "matches", "match"),
+        ("matches/tentative/note", "matches", "match"),
+        ("matches/merged/note", "merged matches", "fuse"),
+        ("matches/inliers/note", "inliers", "estimate"),
+        ("matches/outliers/note", "outliers", "estimate"),
+        ("world/note", "pose", "pose"),
+        ("world/points/note", "points", "triangulate"),
     ):
-        kind, place = (rr.Points3D, [0, 0, 1]) if at == "world/note" else (rr.Points2D, [w, h / 2])
+        kind, place = (rr.Points3D, [0, 0, 1]) if at[0] == "w" else (rr.Points2D, [w, h / 2])
+        note = f"no {what} before stage {STAGES.index(until)}"
         mark = kind([place], radii=size, labels=note, show_labels=True)
         put(rec, prefix, at, mark, stage="read")
         put(rec, prefix, at, kind(np.zeros((0, len(place)))), stage=until)

@@ -98,6 +98,7 @@ def test_every_entity_and_column_is_documented_and_every_documented_one_is_there
         entity = re.sub(r"^/timings/\w+", "/timings/STAGE", entity)
         entity = re.sub(r"^/account/chart/\w+", "/account/chart/QUANTITY", entity)
         entity = re.sub(r"^/scale/\w+", "/scale/QUANTITY", entity)
+        entity = re.sub(r"^/matches/\w+/note", "/matches/KIND/note", entity)
         return re.sub(r"/(surf|orb|fast-brief)(?=/|$)", "/OP", entity)
 
     seen = set()
