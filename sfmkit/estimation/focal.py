@@ -40,6 +40,7 @@ __all__ = ["FocalEstimate", "estimate_focal", "estimate_with_focal", "unknown_fo
 # drone photographs, whose axes are parallel, they change it by 11 %, away from the nominal value.
 UNCERTAIN = 0.1
 _LEAST_MATCHES = 16
+_MOST_MATCHES = 8000  # a random part of more: errors that regions share do not shrink with more
 _ROUNDS = 5  # of refinement: k1 enters linearly, and changes which matches agree
 
 
@@ -115,6 +116,9 @@ def estimate_focal(
     priors = camera1, camera2
     if len(corr) < _LEAST_MATCHES:
         return _undetermined(priors, focal, f"{len(corr)} matches are too few")
+    if len(corr) > _MOST_MATCHES:
+        order = torch.randperm(len(corr), generator=torch.Generator().manual_seed(seed))
+        corr = corr.take(order[:_MOST_MATCHES].sort().values)
     start = best_start(corr, priors, focal, options, seed, device)
     if start is None:
         return _undetermined(priors, focal, "no search ended at a possible focal length")
