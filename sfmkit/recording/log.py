@@ -409,7 +409,7 @@ def _log_notes(rec: rr.RecordingStream, result: Reconstruction, prefix: str) -> 
     ):
         kind, place = (rr.Points3D, [0, 0, 1]) if at[0] == "w" else (rr.Points2D, [w, h / 2])
         note = f"no {what} before stage {STAGES.index(until)}"
-        mark = kind([place], radii=size, labels=note, show_labels=True)
+        mark = kind([place], radii=size, labels=note, show_labels=True, colors=(40, 40, 40))
         put(rec, prefix, at, mark, stage="read")
         put(rec, prefix, at, kind(np.zeros((0, len(place)))), stage=until)
 
