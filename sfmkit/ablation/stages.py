@@ -1,7 +1,7 @@
-"""What a worker computes: features, matches and estimates, as entries of the cache.
+"""The computations of workers: features, matches and estimates, as entries of the cache.
 
-Times are processor times: a worker computes on one thread, and what else the machine does is none
-of an operator's fault.
+Times are processor times, because they depend less on the other work of the machine, and a worker
+computes on one thread.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ from .geometries import make_geometry
 from .memory import PeakMemory
 from .tasks import DetectTask, EstimateTask, ImageRef, Job, MatchTask, PairTask
 
-MEMORY = 512 << 20  # bytes of arrays that a worker keeps at hand
+MEMORY = 512 << 20  # bytes of arrays that a worker keeps in memory
 _FEATURES = ("keypoints", "scales", "angles", "scores", "descriptors")
 
 
 class Store:
-    """Results that are at hand, in the cache, or made now.
+    """Results from memory, from the cache, or computed now.
 
     Args:
-        cache: None where the worker shares no files with anyone.
-        inputs: (kind, key) -> bytes that came with the work.
-        images: digest -> the image's bytes, where paths mean nothing.
-        say: told of damaged entries.
+        cache: None if the worker shares no files.
+        inputs: Key -> bytes that were sent with the task.
+        images: Digest -> bytes of the image, if the worker does not see its file.
+        say: Called with a message about each damaged entry.
+        kept: Results in memory, most recently used last.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ def make(task: DetectTask | MatchTask | PairTask, store: Store) -> Entry:
 
 
 def make_features(task: DetectTask, store: Store) -> Entry:
-    """Stage 1."""
+    """Detect the features of an image (stage 1)."""
     s = task.setting
     with PeakMemory() as memory:
         image = store.image(task.image)
@@ -137,7 +138,7 @@ def features_of(entry: Entry) -> Features:
 
 
 def make_matches(task: MatchTask, store: Store) -> Entry:
-    """Stage 2, one operator."""
+    """Match the features of one operator (stage 2)."""
     f1, f2 = (features_of(store.result(t)) for t in task.needs)
     with PeakMemory() as memory:
         began = time.process_time()
@@ -152,10 +153,10 @@ def make_matches(task: MatchTask, store: Store) -> Entry:
 def estimate_combination(
     task: EstimateTask, combination: tuple[str, ...], jobs: list[Job], store: Store
 ) -> list[Entry]:
-    """Stages 2, fusion, and 3: all seeds of one combination, which share the fused matches.
+    """Fuse the matches of one combination and estimate its geometry with all seeds (stage 3).
 
-    The operators go in the order of their names, so that a combination has one result whatever
-    order it is written in.
+    The operators are fused in the order of their names, so that the result does not depend on the
+    order in which a combination is written.
     """
     features: dict[str, tuple[Features, Features]] = {}
     matches: dict[str, Matches] = {}
@@ -233,7 +234,7 @@ def _two_view(task: EstimateTask, fused: Correspondences, seed: int) -> dict[str
 
 
 def as_arrays(entry: Entry) -> dict[str, np.ndarray | None]:
-    """H, R and t of an estimate."""
+    """Return H, R and t of an estimate."""
     shapes = {"H": (3, 3), "R": (3, 3), "t": (3,)}
     return {
         name: None if entry.meta[name] is None else np.array(entry.meta[name]).reshape(shape)
