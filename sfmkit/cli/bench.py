@@ -14,9 +14,12 @@ from .bench_options import (
     MAX_SIZE,
     OPERATORS,
     OUT,
+    PRESET,
     PRESETS,
+    ROOT,
     SEEDS,
     SHARD,
+    SOURCES,
 )
 from .bench_run import command_line, hand_over, parts_bar
 from .parsing import names
@@ -214,45 +217,17 @@ def uav(
 
 
 @bench.command("pairs")
-@click.option(
-    "--data",
-    "sources",
-    metavar="A,B",
-    callback=names,
-    required=True,
-    help="Pair lists, folders, COLMAP models, data sets (sequences: oxford:graf+wall) or import "
-    "paths.",
-)
-@click.option(
-    "--root",
-    type=click.Path(path_type=Path),
-    help="Folder of the data sets; for a list or a COLMAP model, the folder of its images.",
-)
+@SOURCES
+@ROOT
 @OPERATORS
 @MATCHER
 @BACKEND
-@click.option(
-    "--preset",
-    type=click.Choice(["default", "dense", "paper"]),
-    default="default",
-    show_default=True,
-)
+@PRESET
 @SEEDS(1)
 @MAX_SIZE
 @SHARD
 @OUT("pairs")
-def pairs_of_any_data(
-    sources: tuple[str, ...],
-    root: Path | None,
-    operators: tuple[str, ...],
-    matchers: str | dict[str, str] | None,
-    backend: str | None,
-    preset: str,
-    seeds: int,
-    max_size: int | None,
-    shard: Any,
-    out: Path,
-) -> None:
+def pairs_of_any_data(sources: tuple[str, ...], out: Path, **settings: Any) -> None:
     """Run operators on the pairs of any data set.
 
     Each operator runs alone, and all run together.
@@ -261,24 +236,73 @@ def pairs_of_any_data(
 
     Run the same command again to resume an interrupted run.
     """
+    run_pairs("pairs", sources, out, **settings)
+
+
+def run_pairs(name: str, sources: tuple[str, ...], out: Path, **settings: Any) -> None:
+    """Run a benchmark of pairs and write its tables."""
     from ..evaluation.pairs import bench_pairs
     from ..evaluation.pairs_tables import pairs_result
 
-    with parts_bar("pairs") as report:
-        rows = bench_pairs(
-            sources,
-            out,
-            root=root,
-            operators=operators,
-            matchers=matchers,
-            backend=backend,
-            preset=preset,
-            seeds=seeds,
-            max_size=max_size,
-            shard=shard,
-            progress=report,
-        )
-    hand_over(out, pairs_result(rows, command_line()))
+    with parts_bar(name) as report:
+        rows = bench_pairs(sources, out, progress=report, **settings)
+    hand_over(out, pairs_result(rows, command_line(), name))
+
+
+@bench.command("pose")
+@SOURCES
+@ROOT
+@OPERATORS
+@MATCHER
+@BACKEND
+@PRESET
+@SEEDS(1)
+@MAX_SIZE
+@SHARD
+@OUT("pose")
+def relative_pose(sources: tuple[str, ...], out: Path, **settings: Any) -> None:
+    """Estimate the poses of pairs with true poses.
+
+    For the lists of the SuperGlue and LightGlue evaluations (ScanNet-1500, YFCC100M,
+    MegaDepth-1500), for `phototourism`, and for other data with true poses. Run the same command
+    again to resume an interrupted run.
+    """
+    run_pairs("pose", sources, out, truth="pose", **settings)
+
+
+@bench.command()
+@click.option(
+    "--sequences", callback=names, metavar="A,B", help="Names of sequences; default: all."
+)
+@click.option(
+    "--without", callback=names, metavar="A,B", help="Names of sequences that are left out."
+)
+@OPERATORS
+@MATCHER
+@PRESET
+@SEEDS(1)
+@MAX_SIZE
+@SHARD
+@OUT("hpatches")
+@DATA
+def hpatches(
+    sequences: tuple[str, ...] | None,
+    without: tuple[str, ...] | None,
+    out: Path,
+    data: Path | None,
+    **settings: Any,
+) -> None:
+    """Match the sequences of HPatches and estimate their homographies.
+
+    Run the same command again to resume an interrupted run.
+    """
+    from .._utils.writing import check_folder
+    from ..datasets.hpatches import sequences_of_hpatches
+
+    check_folder(out)
+    chosen = sequences_of_hpatches(data, sequences, without)
+    source = f"hpatches:{'+'.join(chosen)}"
+    run_pairs("hpatches", (source,), out, root=data, truth="homography", **settings)
 
 
 @bench.command("verdict")

@@ -16,9 +16,12 @@ __all__ = [
     "MAX_SIZE",
     "OPERATORS",
     "OUT",
+    "PRESET",
     "PRESETS",
+    "ROOT",
     "SEEDS",
     "SHARD",
+    "SOURCES",
 ]
 
 MATCHER = click.option(
@@ -46,6 +49,26 @@ DATA = click.option(
     "--data",
     type=click.Path(path_type=Path),
     help="Folder of the data sets; default: SFMKIT_DATA, or the folder of `sfmkit data fetch`.",
+)
+SOURCES = click.option(
+    "--data",
+    "sources",
+    metavar="A,B",
+    callback=names,
+    required=True,
+    help="Pair lists, folders, COLMAP models, data sets (sequences: oxford:graf+wall) or import "
+    "paths.",
+)
+ROOT = click.option(
+    "--root",
+    type=click.Path(path_type=Path),
+    help="Folder of the data sets; for a list or a COLMAP model, the folder of its images.",
+)
+PRESET = click.option(
+    "--preset",
+    type=click.Choice(["default", "dense", "paper"]),
+    default="default",
+    show_default=True,
 )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from .hpatches import hpatches
 from .oxford import oxford
 from .pair import Pair
+from .phototourism import phototourism
 from .planes import planes
 from .registry import DATASETS, DatasetReader, register_dataset
 from .source import Source, find_source
@@ -26,7 +27,7 @@ __all__ = [
     "register_dataset",
 ]
 
-for _reader in (oxford, hpatches, strecha, uav, synthetic, planes):
+for _reader in (oxford, hpatches, strecha, uav, phototourism, synthetic, planes):
     register_dataset(_reader.__name__, _reader)
 
 

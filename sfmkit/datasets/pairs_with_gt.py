@@ -1,9 +1,13 @@
-"""Pair lists of the SuperGlue and LightGlue evaluations (``*_pairs_with_gt.txt``).
+"""Pair lists of the SuperGlue and LightGlue evaluations: ScanNet-1500, YFCC100M, MegaDepth-1500.
 
-A line holds 38 words: the two image names, the rotations of both images in quarter turns, K of both
-images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2 (Sarlin, DeTone, Malisiewicz
-& Rabinovich, "SuperGlue", CVPR 2020, evaluation code). K and the matrix refer to the stored images;
-the quarter turns are applied to image, K and pose.
+A line of a ``*_pairs_with_gt.txt`` list holds 38 words: the two image names, the rotations of both
+images in quarter turns, K of both images (9 numbers each) and the 4 x 4 matrix from camera 1 to
+camera 2 (Sarlin, DeTone, Malisiewicz & Rabinovich, "SuperGlue", CVPR 2020, evaluation code). K and
+the matrix refer to the stored images; the quarter turns are applied to image, K and pose.
+
+The lists of glue-factory (``pairs_calibrated.txt``; Lindenberger, Sarlin & Pollefeys, "LightGlue",
+ICCV 2023, evaluation code) have no rotations, and the pose is the 4 x 4 matrix (36 words) or R and
+t (32 words).
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from ..types import Camera
 from .pair import Pair, image_size
 from .pair_list import find_listed_image, reject_sequences
 
-WORDS = 38
+TURNS, MATRIX, R_AND_T = WORDS = (38, 36, 32)  # words of a line with rotations, a matrix, R and t
 
 
 def pairs_with_gt(
@@ -29,7 +33,7 @@ def pairs_with_gt(
     *,
     images: str | os.PathLike | None = None,
 ) -> Iterator[Pair]:
-    """Yield the pairs of a ``*_pairs_with_gt.txt`` list, with cameras and pose.
+    """Yield the pairs of a list in a text file, with cameras and poses.
 
     Args:
         root: Path of the list.
@@ -58,23 +62,21 @@ def pairs_with_gt(
 
 
 def _pair(words: list[str], where: str, dataset: str, folder: Path, name: str) -> Pair:
-    if len(words) != WORDS:
+    if len(words) not in WORDS:
         raise InputError(
-            f"{where}: {len(words)} words; a line has {WORDS}: two image names, two rotations, "
-            "K of both images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2"
+            f"{where}: {len(words)} words; a line has {TURNS}: two image names, two rotations, "
+            "K of both images (9 numbers each) and the 4 x 4 matrix from camera 1 to camera 2; or "
+            f"{MATRIX} without the rotations; or {R_AND_T} with R and t in place of the matrix"
         )
     paths = [find_listed_image(folder, word, where) for word in words[:2]]
+    names = 4 if len(words) == TURNS else 2
     try:
-        turns = [int(word) % 4 for word in words[2:4]]
-        numbers = np.array([float(word) for word in words[4:]])
-        K1, K2, T = np.split(numbers, (9, 18))
-        K = [K1.reshape(3, 3), K2.reshape(3, 3)]
-        T = T.reshape(4, 4)
-        if not np.allclose(T[3], (0, 0, 0, 1)):
-            raise InputError(f"the last row of the 4 x 4 matrix is {T[3].tolist()}, not 0 0 0 1")
-        stored = [Camera(k, image_size(path)) for k, path in zip(K, paths)]
+        turns = [int(word) % 4 for word in words[2:names]] or [0, 0]
+        numbers = np.array([float(word) for word in words[names:]])
+        K1, K2, pose = np.split(numbers, (9, 18))
+        R, t = _pose(pose)
+        stored = [Camera(K.reshape(3, 3), image_size(path)) for K, path in zip((K1, K2), paths)]
         Z1, Z2 = (_quarter_turns(n) for n in turns)
-        R = Z2 @ T[:3, :3] @ Z1.T  # X2' = Z2 (R Z1^T X1' + t)
         return Pair(
             dataset,
             dataset,
@@ -83,11 +85,21 @@ def _pair(words: list[str], where: str, dataset: str, folder: Path, name: str) -
             _turned_image(paths[1], turns[1]),
             _turned_camera(stored[0], turns[0]),
             _turned_camera(stored[1], turns[1]),
-            R=R,
-            t=Z2 @ T[:3, 3],
+            R=Z2 @ R @ Z1.T,  # X2' = Z2 (R Z1^T X1' + t)
+            t=Z2 @ t,
         )
     except (InputError, ValueError) as error:
         raise InputError(f"{where}: {error}") from None
+
+
+def _pose(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return R (3, 3) and t (3,) of 16 numbers of a matrix, or of 12 numbers of R and t."""
+    if len(numbers) == 12:
+        return numbers[:9].reshape(3, 3), numbers[9:]
+    T = numbers.reshape(4, 4)
+    if not np.allclose(T[3], (0, 0, 0, 1)):
+        raise InputError(f"the last row of the 4 x 4 matrix is {T[3].tolist()}, not 0 0 0 1")
+    return T[:3, :3], T[:3, 3]
 
 
 def _turned_image(path: Path, turns: int) -> Path | np.ndarray:

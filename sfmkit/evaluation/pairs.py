@@ -14,6 +14,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from ..estimation import within_the_field
 from ..features import choose_operators
 from ..io.images import Image, read_image
 from ..matching.plugins import canonical_matchers
-from ..metrics import check_point_error, corner_error
+from ..metrics import check_point_error, corner_error, match_errors, mean_matching_accuracy
 from ..options import Options, adjust_preset
 from ..pipeline.account import ALL
 from ..pipeline.registration import register_matches
@@ -46,7 +47,7 @@ from ..pipeline.stages import (
     match_all,
     pose_errors,
 )
-from ..types import Camera, Matches, TwoView, Verdict
+from ..types import Camera, Correspondences, Matches, TwoView, Verdict
 from .rows import Row, RowStore, finite
 from .settings import plugin_settings
 
@@ -55,6 +56,7 @@ __all__ = ["FAILED", "RESULT", "bench_pairs", "find_pairs", "pose_error"]
 RESULT, FAILED = "result", "failed"
 
 Cameras = tuple[Camera, Camera]
+Truth = Literal["pose", "homography"]
 
 
 def bench_pairs(
@@ -69,6 +71,7 @@ def bench_pairs(
     seeds: int = 1,
     max_size: int | None = None,
     shard: Shard | None = None,
+    truth: Truth | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
     """Run the missing parts of the benchmark and return all of its rows.
@@ -85,13 +88,16 @@ def bench_pairs(
         seeds: Every estimate is repeated with seeds 0 ... seeds - 1.
         max_size: Longest side, pixels, at which features are detected; None for full size.
         shard: (i, n) for part i of n of the pairs; the same call without it collects all parts.
+        truth: Only pairs of this kind of ground truth, ``pose`` or ``homography``; None for all
+            pairs.
         progress: Called with (stage, detail) and the fraction of the pairs that is done.
 
     Returns:
         Rows of two kinds: ``result`` (pair, operator or ``multi``, seed -> verdict, matches,
-        inliers, points, errors, seconds per stage; an error is None if it is infinite or there is
-        no ground truth) and ``failed`` (pair, operator -> reason). Rows of the kind ``failed`` are
-        not stored; these pairs run again when the run is resumed.
+        inliers, points, errors, seconds per stage, and, with a true homography, the matching
+        accuracy at 1 to 10 px; an error is None if it is infinite or there is no ground truth) and
+        ``failed`` (pair, operator -> reason). Rows of the kind ``failed`` are not stored; these
+        pairs run again when the run is resumed.
 
     Raises:
         InputError: Data, an operator, a matcher or the estimator is unknown or cannot be read,
@@ -104,7 +110,7 @@ def bench_pairs(
     matchers = canonical_matchers(matchers)
     options = adjust_preset(preset, backend=backend, max_size=max_size)
     options = choose_options(options, operators, matchers=matchers)
-    pairs = part_of(find_pairs(data, root), shard)
+    pairs = part_of(find_pairs(data, root, truth), shard)
     settings = {
         "version": __version__,
         "preset": preset,
@@ -139,16 +145,23 @@ def bench_pairs(
 
 
 def find_pairs(
-    data: Sequence[str | os.PathLike], root: str | os.PathLike | None = None
+    data: Sequence[str | os.PathLike],
+    root: str | os.PathLike | None = None,
+    truth: Truth | None = None,
 ) -> list[Pair]:
     """Collect the pairs of all data sets, lists and folders in `data`, without repetitions.
 
     Raises:
-        InputError: One of them is unknown, missing or damaged, or there are no pairs at all.
+        InputError: One of them is unknown, missing or damaged, or there are no pairs of the wanted
+            kind of ground truth.
     """
     found = [pair for item in data for pair in find_source(item, root).pairs()]
     if not found:
         raise InputError("there are no pairs to run on; name data, e.g. --data pairs.json")
+    if truth is not None:
+        found = [pair for pair in found if (pair.R if truth == "pose" else pair.H) is not None]
+        if not found:
+            raise InputError(f"no pair of {', '.join(map(str, data))} has a true {truth}")
     return list({_digest(pair): pair for pair in found}.values())
 
 
@@ -260,6 +273,9 @@ def _estimate(
         corr, inliers, verdict = found.correspondences, found.inliers, found.verdict
         H = None if found.H is None else found.H.numpy()
         row |= _homography_errors(pair, H, images[0].size_wh)
+        if pair.H is not None:
+            errors = _matching_errors(pair.H, features, matches, corr)
+            row |= {"mma": mean_matching_accuracy(errors), "mma_matches": len(errors)}
     else:
         with watch.stage("fuse"):
             corr = within_the_field(fuse_all(features, matches, options.fuse), *cameras)
@@ -277,6 +293,22 @@ def _estimate(
         "inliers": int(inliers.sum()),
         "seconds": watch.seconds,
     }
+
+
+def _matching_errors(
+    H: np.ndarray, features: FeaturePairs, matches: Mapping[str, Matches], corr: Correspondences
+) -> np.ndarray:
+    """Return the distance (N,) of each match from its true position, pixels of image 2.
+
+    The matches are those of the operator, or the fused ones of several.
+    """
+    if len(matches) == 1:
+        ((name, of_operator),) = matches.items()
+        return match_errors(*features[name], of_operator, H)
+    y = np.column_stack([corr.x1.numpy(), np.ones(len(corr))]) @ H.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = np.linalg.norm(y[:, :2] / y[:, 2:] - corr.x2.numpy(), axis=1)
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def _homography_errors(pair: Pair, H: np.ndarray | None, size_wh: tuple[int, int]) -> Row:

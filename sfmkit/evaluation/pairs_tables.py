@@ -18,15 +18,17 @@ __all__ = ["pairs_result"]
 AUC_DEG = (1.0, 5.0, 10.0, 20.0)
 SOLVED_DEG = (5.0, 10.0)
 AUC_PX = (1.0, 3.0, 5.0, 10.0)
+MMA_PX = (1, 2, 3, 5, 10)
 STAGES = ("detect", "match", "fuse", "estimate", "refine", "triangulate")
 
 
-def pairs_result(rows: Sequence[Row], command: str) -> Result:
+def pairs_result(rows: Sequence[Row], command: str, name: str = "pairs") -> Result:
     """Make the tables of the rows.
 
     Args:
         rows: Rows of :func:`sfmkit.evaluation.pairs.bench_pairs`.
         command: Command that reproduces them.
+        name: Name of the benchmark.
     """
     results = [row for row in rows if row["kind"] == RESULT]
     poses = [row for row in results if row["problem"] == TWO_VIEW]
@@ -36,10 +38,15 @@ def pairs_result(rows: Sequence[Row], command: str) -> Result:
     if poses:
         tables.append(_pose_table(poses, failed))
         if any(row["has_truth"] for row in poses):
-            tables.append(_auc_table(poses))
+            tables.append(_pose_areas(poses))
         tables.append(_pose_pairs(poses))
     if planes:
-        tables += [_homography_table(planes, failed), _homography_pairs(planes)]
+        tables.append(_homography_table(planes, failed))
+        if any(row["has_truth"] for row in planes):
+            tables.append(_homography_areas(planes))
+        if any("mma" in row for row in planes):
+            tables.append(_accuracy_table([row for row in planes if "mma" in row]))
+        tables.append(_homography_pairs(planes))
     if results:
         tables.append(_seconds_table(results))
     if failed:
@@ -47,7 +54,7 @@ def pairs_result(rows: Sequence[Row], command: str) -> Result:
     datasets = ", ".join(dict.fromkeys(row["dataset"] for row in rows))
     count = len({row["digest"] for row in rows})
     return Result(
-        name="pairs",
+        name=name,
         title=f"Pairs of {datasets}: {count} {'pair' if count == 1 else 'pairs'}",
         command=command,
         tables=tuple(tables),
@@ -138,31 +145,86 @@ def _pose_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable:
     )
 
 
-def _auc_table(rows: Sequence[Row]) -> ResultTable:
-    measures: tuple[tuple[str, str, Callable], ...] = (
-        ("mean", "mean of max(0, 1 - e/T)", error_auc),
-        ("trapezoidal", "trapezoidal AUC (SuperGlue)", trapezoidal_auc),
-    )
+_MEAN, _TRAPEZOIDAL = "mean of max(0, 1 - e/T)", "trapezoidal AUC (SuperGlue)"
+
+
+def _areas(
+    rows: Sequence[Row],
+    thresholds: Sequence[float],
+    trapezoidal_error: Callable[[Row], float],
+) -> tuple[tuple[Cell, ...], ...]:
+    """List both areas under the recall curve for every operator."""
     lines: list[tuple[Cell, ...]] = []
     for name, mine in _by_operator(rows):
-        if not (errors := _errors(mine)):
-            continue
-        folded = [_folded_error(row) for row in mine if row["has_truth"]]
-        for key, label, area in measures:
-            lines.append((name, label, *area(errors if key == "mean" else folded, AUC_DEG)))
-    columns = (
-        Column("operator"),
-        Column("measure"),
-        *(Column(f"T = {threshold:g} degrees", ".3f") for threshold in AUC_DEG),
-    )
+        if errors := _errors(mine):
+            others = [trapezoidal_error(row) for row in mine if row["has_truth"]]
+            lines.append((name, _MEAN, *error_auc(errors, thresholds)))
+            lines.append((name, _TRAPEZOIDAL, *trapezoidal_auc(others, thresholds)))
+    return tuple(lines)
+
+
+def _area_columns(thresholds: Sequence[float], unit: str) -> tuple[Column, ...]:
+    areas = (Column(f"T = {threshold:g} {unit}", ".3f") for threshold in thresholds)
+    return (Column("operator"), Column("measure"), *areas)
+
+
+def _pose_areas(rows: Sequence[Row]) -> ResultTable:
     return ResultTable(
         "auc",
         "Area under the recall curve of the pose error",
-        columns,
-        tuple(lines),
+        _area_columns(AUC_DEG, "degrees"),
+        _areas(rows, AUC_DEG, _folded_error),
         "e is the larger of rotation and translation error. The trapezoidal AUC, as in the "
         "evaluation of SuperGlue, joins the points of the recall curve by lines and ignores the "
         "sign of the translation; only compare values of the same measure.",
+    )
+
+
+def _homography_areas(rows: Sequence[Row]) -> ResultTable:
+    return ResultTable(
+        "homography-auc",
+        "Area under the recall curve of the error of the homography",
+        _area_columns(AUC_PX, "px"),
+        _areas(rows, AUC_PX, lambda row: math.inf if row["error"] is None else row["error"]),
+        "e is the mean distance of the four corners, or the error at the check points where there "
+        "are some. The trapezoidal AUC joins the points of the recall curve by lines; only compare "
+        "values of the same measure, and of images of the same size.",
+    )
+
+
+def _part(row: Row) -> str:
+    """Return what changes in a sequence of HPatches; an empty text for other data."""
+    if row["dataset"] != "hpatches":
+        return ""
+    return "illumination" if row["sequence"].startswith("i_") else "viewpoint"
+
+
+def _accuracy_table(rows: Sequence[Row]) -> ResultTable:
+    lines: list[tuple[Cell, ...]] = []
+    for name, mine in _by_operator(rows):
+        parts = dict.fromkeys(["all pairs", *filter(None, map(_part, mine))])
+        for part in parts:
+            chosen = [row for row in mine if part in ("all pairs", _part(row))]
+            # every seed has the same matches
+            once = list({row["digest"]: row for row in chosen}.values())
+            accuracy = np.mean([row["mma"] for row in once], axis=0)
+            matches = float(np.mean([row["mma_matches"] for row in once]))
+            lines.append((name, part, len(once), matches, *(accuracy[t - 1] for t in MMA_PX)))
+    columns = (
+        Column("operator"),
+        Column("pairs"),
+        Column("number", ","),
+        Column("matches", ",.0f"),
+        *(Column(f"{threshold} px", ".1%") for threshold in MMA_PX),
+    )
+    return ResultTable(
+        "matching-accuracy",
+        "Mean matching accuracy",
+        columns,
+        tuple(lines),
+        "The share of the matches within a distance of their true position, averaged over the "
+        "pairs; a pair without matches counts as 0. The matches of all operators together are the "
+        "fused ones.",
     )
 
 
@@ -201,9 +263,6 @@ def _homography_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable
     lines: list[tuple[Cell, ...]] = []
     for name, mine in _by_operator(rows):
         errors = _errors(mine)
-        areas: Sequence[float | None] = (
-            error_auc(errors, AUC_PX) if errors else [None] * len(AUC_PX)
-        )
         lines.append(
             (
                 name,
@@ -214,7 +273,6 @@ def _homography_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable
                 _median([row["corner_error_px"] for row in mine]),
                 _median([row["check_error_px"] for row in mine]),
                 _median(errors),
-                *areas,
                 _median([row["inliers"] for row in mine]),
             )
         )
@@ -227,7 +285,6 @@ def _homography_table(rows: Sequence[Row], failed: Sequence[Row]) -> ResultTable
         Column("corner error, px", ",.2f"),
         Column("check-point error, px", ",.2f"),
         Column("error, px", ",.2f"),
-        *(Column(f"mean of max(0, 1 - e/T), T = {t:g} px", ".3f") for t in AUC_PX),
         Column("inliers", ",.0f"),
     )
     return ResultTable(

@@ -35,6 +35,8 @@ WRITING = {
     "bench fountain": ["--data", "no-data"],
     "bench uav": ["--data", "no-data"],
     "bench pairs": ["--data", "no-pairs.json"],
+    "bench pose": ["--data", "no-pairs.json"],
+    "bench hpatches": ["--data", "no-data"],
     "bench map": ["--data", "no-data"],
     "bench verdict": ["--data", "no-data"],
     "ablate": ["--data", "no-pairs.json"],

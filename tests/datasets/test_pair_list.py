@@ -191,6 +191,25 @@ def test_superglue_list_is_consistent_under_its_rotations(folder, turns):
     np.testing.assert_allclose(projected / projected[2], found[1], atol=1e-9)
 
 
+def test_lists_without_rotations_hold_a_matrix_or_r_and_t(folder):
+    """The three forms of a line describe the same pair."""
+    words = gt_line().split()
+    matrix = words[:2] + words[4:]
+    T = np.array(words[22:], dtype=float).reshape(4, 4)
+    pose = [repr(float(v)) for v in (*T[:3, :3].ravel(), *T[:3, 3])]
+    r_and_t = matrix[:20] + pose
+    assert (len(matrix), len(r_and_t)) == (36, 32)
+    lines = [" ".join(line) for line in (words, matrix, r_and_t)]
+    (folder / "pairs_calibrated.txt").write_text("\n".join(lines) + "\n")
+    first, *others = pairs(folder / "pairs_calibrated.txt")
+    for other in others:
+        assert (other.image1, other.image2) == (first.image1, first.image2)
+        for name in ("R", "t"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(first, name))
+        for name in ("camera1", "camera2"):
+            np.testing.assert_array_equal(getattr(other, name).K, getattr(first, name).K)
+
+
 @pytest.mark.parametrize(
     "text, message",
     [
