@@ -15,6 +15,8 @@ __all__ = ["Curve", "draw_roc"]
 
 Point = tuple[int, float]
 
+_MARKERS = "o^s"
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -33,18 +35,22 @@ class Curve:
 
 
 def draw_roc(path: Path, curves: Sequence[Curve]) -> None:
-    """Draw right poses over wrong poses as PNG; the axis is logarithmic above ten wrong poses."""
+    """Draw right poses over wrong poses as PNG.
+
+    The axis is logarithmic above ten wrong poses. Each label of a mark has its own symbol.
+    """
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     ax = figure.subplots()
     ax.set_xscale("symlog", linthresh=10)
+    markers: dict[str, str] = {}
     for k, curve in enumerate(curves):
         x, y = zip(*curve.points)
         ax.plot(x, y, color=f"C{k}", label=curve.name, drawstyle="steps-post", zorder=3 - k / 10)
-        for label, (wrong, right) in curve.marks:
-            ax.plot(wrong, right, "o", color=f"C{k}", markersize=7, zorder=4)
-            ax.annotate(
-                label, (wrong, right), xytext=(5, -11), textcoords="offset points", color=f"C{k}"
-            )
+        for label, point in curve.marks:
+            marker = markers.setdefault(label, _MARKERS[len(markers) % len(_MARKERS)])
+            ax.plot(*point, marker, color=f"C{k}", markersize=7, zorder=4)
+    for label, marker in markers.items():
+        ax.plot([], [], marker, color="grey", markersize=7, label=label)
     ax.set_xlim(left=-0.4)
     ax.set_ylim(0, 1.02)
     ax.set_xlabel("wrong poses accepted (number of pairs)")

@@ -202,7 +202,7 @@ def _curves(rows: Sequence[Row], solved: set[str]) -> list[Curve]:
         for rule in rules():
             if rule.method == method:
                 kept = [quality(row) for row in mine if rule.accepts(row)]
-                label = "verdict" if rule.least is None else str(rule.least)
+                label = "verdict" if rule.least is None else f"{rule.least} inliers"
                 at = kept.count(WRONG), kept.count(RIGHT) / max(len(solved), 1)
                 marks.append((label, at))
         curves.append(Curve(method, tuple(points), tuple(marks)))

@@ -266,6 +266,8 @@ def test_clusters_without_workers_of_another_version_and_gone_ones(tmp_path, mon
 
 
 _SETS = itertools.count()
+# Another run of the tests on this machine, or one that was killed, can have its own network.
+NETWORK = f"10.97.{os.getpid() % 250}"
 
 
 def _ip(*args: str) -> None:
@@ -274,8 +276,10 @@ def _ip(*args: str) -> None:
 
 @contextmanager
 def hosts(n: int) -> Iterator[list[str]]:
-    """Network namespaces with addresses 10.97.0.2 ... joined by a bridge at 10.97.0.1; skips where
-    none can be made."""
+    """Network namespaces with addresses NETWORK.2 ... joined by a bridge at NETWORK.1.
+
+    Skips where none can be made.
+    """
     if shutil.which("ip") is None:
         pytest.skip("there is no `ip` command to make network namespaces with")
     # another each time: links go a while after their host
@@ -284,7 +288,7 @@ def hosts(n: int) -> Iterator[list[str]]:
     try:
         _ip("link", "add", tag, "type", "bridge")
         made.append(["link", "del", tag])
-        _ip("addr", "add", "10.97.0.1/24", "dev", tag)
+        _ip("addr", "add", f"{NETWORK}.1/24", "dev", tag)
         _ip("link", "set", tag, "up")
         for k in range(n):
             name = f"{tag}-{k}"
@@ -292,7 +296,7 @@ def hosts(n: int) -> Iterator[list[str]]:
             made.append(["netns", "del", name])
             _ip("link", "add", f"{tag}v{k}", "type", "veth", "peer", "name", "eth0", "netns", name)
             _ip("link", "set", f"{tag}v{k}", "master", tag, "up")
-            _ip("-n", name, "addr", "add", f"10.97.0.{k + 2}/24", "dev", "eth0")
+            _ip("-n", name, "addr", "add", f"{NETWORK}.{k + 2}/24", "dev", "eth0")
             _ip("-n", name, "link", "set", "eth0", "up")
             _ip("-n", name, "link", "set", "lo", "up")
     except subprocess.CalledProcessError as error:
@@ -313,7 +317,7 @@ def test_a_cluster_of_hosts_gives_the_same_rows(truth, tmp_path, ship):
     with hosts(2) as names:
         cluster = Cluster(
             tmp_path,
-            lambda k: f"10.97.0.{k + 1}",
+            lambda k: f"{NETWORK}.{k + 1}",
             lambda k: ["ip", "netns", "exec", names[k - 1]] if k else [],
         )
         try:
@@ -326,6 +330,7 @@ def test_a_cluster_of_hosts_gives_the_same_rows(truth, tmp_path, ship):
                 cache=tmp_path / "cache",
                 scheduler=cluster.address,
                 ship=ship,
+                wait=240,
                 progress=kills_after(cluster.workers[0], 15),
             )
         finally:

@@ -66,6 +66,11 @@ def wait_until(condition, seconds: float = 240.0) -> None:
         time.sleep(0.01)
 
 
+def results_in(cache: Path) -> int:
+    """Count the results in a cache from which other processes remove folders."""
+    return sum(name.endswith(".npz") for _, _, names in os.walk(cache) for name in names)
+
+
 def kill_and_resume(
     folder: Path, moments: int, seed: int, workers: int = 2
 ) -> tuple[AblationTable, int]:
@@ -85,11 +90,11 @@ def kill_and_resume(
         # The moment is a number of further results, so that every attempt gets somewhere however
         # slow the machine is.
         while killed < moments and process.poll() is None:
-            results = sum(1 for _ in cache.rglob("*.npz"))
+            results = results_in(cache)
             more = rng.randrange(1, 4)
             wait_until(
                 lambda process=process, enough=results + more: (
-                    process.poll() is not None or sum(1 for _ in cache.rglob("*.npz")) >= enough
+                    process.poll() is not None or results_in(cache) >= enough
                 )
             )
             time.sleep(rng.uniform(0, 0.1))

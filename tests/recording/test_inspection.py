@@ -119,8 +119,9 @@ def test_how_an_operator_did(path):
 def test_what_an_entity_holds(path):
     words = describe_entity(path, "world/points/operator")
     assert re.search(r"sfmkit:parallax_deg +300 +2 \.\. 12 +stage 7", words)
-    assert "below it: density, operator, parallax, photograph, uncertainty" in describe_entity(
-        path, "/world/points"
+    assert (
+        "below it: density, note, operator, parallax, photograph, uncertainty"
+        in describe_entity(path, "/world/points")
     )
     assert "always" in describe_entity(path, "/report")
     with pytest.raises(RecordingError, match="Did you mean /world/points/operator"):
