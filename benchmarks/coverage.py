@@ -33,14 +33,14 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from sfmkit import Camera, Features, detect, read_image
-from sfmkit.datasets.middlebury import temple_ring
+from sfmkit.datasets.middlebury import temple_places
 from sfmkit.datasets.rendering import SCENES, Pose, Scene, radiance
 from sfmkit.datasets.rendering.raycasting import EXACT, rays
 from sfmkit.datasets.rendering.scenes import look
 from sfmkit.datasets.strecha import strecha
 from sfmkit.datasets.synthetic import photograph
 from sfmkit.estimation import within_the_field
-from sfmkit.estimation.adjust import LOSS, LOSS_SCALE_PX
+from sfmkit.estimation.adjust import LOSS, LOSS_SCALE_PX, adjust
 from sfmkit.estimation.two_view import undistorted_pixels
 from sfmkit.geometry.bundle import bundle_adjust
 from sfmkit.geometry.lie import so3_log, tangent_basis
@@ -118,8 +118,8 @@ def estimate(first: Shot, second: Shot, cameras: tuple[Camera, Camera]):
     view, adjustment = estimate_geometry(corr, cameras, DEFAULT.estimate)
     if view.verdict is not Verdict.GENERAL or adjustment is None:
         return None
-    exact = tuple(replace(camera, sigma=EXACT_CAMERA) for camera in cameras)
-    regions = estimate_geometry(corr, exact, DEFAULT.estimate)[1]
+    first_exact, second_exact = (replace(camera, sigma=EXACT_CAMERA) for camera in cameras)
+    regions = adjust(corr, replace(view, camera1=first_exact, camera2=second_exact))
     x1, x2 = (x[adjustment.rows] for x in undistorted_pixels(corr, *cameras))
     K1, K2 = (camera.tensors()[0] for camera in cameras)
     bundle = bundle_adjust(x1, x2, K1, K2, view.R, view.t, loss=LOSS, loss_scale=LOSS_SCALE_PX)
@@ -295,9 +295,7 @@ def fountain_shots() -> list[Shot]:
 
 def temple_shots() -> list[Shot]:
     """The photographs of the temple ring, each place once."""
-    ring = temple_ring()
-    different = [v for v, before in zip(ring, (ring[-1], *ring)) if not np.allclose(v.t, before.t)]
-    return [shoot(v.path, v.camera, v.R, v.t, None) for v in different]
+    return [shoot(v.path, v.camera, v.R, v.t, None) for v in temple_places()]
 
 
 def photographs(name: str, shots: list[Shot], ring: bool) -> None:

@@ -178,8 +178,18 @@ def match_errors(
     features1: Features, features2: Features, matches: Matches, H_true: np.ndarray
 ) -> np.ndarray:
     """Return the distance of each match from its true position, (M,) pixels of image 2."""
-    H = _homography(H_true, "H_true")
     x1, x2 = features1.keypoints[matches.index1], features2.keypoints[matches.index2]
+    return transfer_errors(x1, x2, H_true)
+
+
+def transfer_errors(x1: np.ndarray, x2: np.ndarray, H_true: np.ndarray) -> np.ndarray:
+    """Return the distance of each pixel `x2` from the true position of `x1`, (M,) pixels.
+
+    Args:
+        x1, x2: (M, 2) corresponding pixels of image 1 and image 2.
+        H_true: (3, 3) true homography, ``x2 = H x1``.
+    """
+    H = _homography(H_true, "H_true")
     return np.linalg.norm(_transfer(H / H[2, 2], x1) - x2, axis=1)
 
 

@@ -95,7 +95,7 @@ def _check_hand_over(colmap: Path | None, h5: Path | None, overwrite: bool) -> N
         if colmap.exists() and not overwrite:
             raise OutputError(f"{colmap} exists; choose another file, or use --overwrite")
     if h5 is not None:
-        from ..mapping.hloc import h5py_module
+        from .._utils.hdf5 import h5py_module
 
         h5py_module()
         check_free(h5, overwrite)

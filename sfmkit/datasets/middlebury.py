@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..types import Camera
 from .pair import data_root, image_size
 
-__all__ = ["RingView", "temple_ring"]
+__all__ = ["RingView", "temple_places", "temple_ring"]
 
 _FOLDER, _CAMERAS = "templeSparseRing", "templeSR_par.txt"
 
@@ -66,3 +66,14 @@ def temple_ring(root: str | os.PathLike | None = None) -> tuple[RingView, ...]:
         path = folder / rows[i][0]
         views.append(RingView(path, Camera(K[i], image_size(path)), R[i], t[i]))
     return tuple(views)
+
+
+def temple_places(root: str | os.PathLike | None = None) -> tuple[RingView, ...]:
+    """Read the ring without the second of two photographs from one position.
+
+    Arguments and errors are those of :func:`temple_ring`.
+    """
+    ring = temple_ring(root)
+    return tuple(
+        view for view, before in zip(ring, (ring[-1], *ring)) if not np.allclose(view.t, before.t)
+    )

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from .._utils.hdf5 import h5py_module
 from ..errors import InputError
 from ..types import Camera
 from .pair import Pair, choose_sequences, data_root, find_image, image_size
@@ -81,19 +80,10 @@ def _names(path: Path) -> list[str]:
 def _calibration(path: Path, image: Path) -> tuple[Camera, np.ndarray, np.ndarray]:
     """Read camera, R (3, 3) and t (3,) of a photograph."""
     try:
-        with _h5py().File(path, "r") as file:
+        with h5py_module().File(path, "r") as file:
             K, R, t = (np.array(file[key], dtype=np.float64) for key in ("K", "R", "T"))
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path} is not a calibration with K, R and T: {error}") from None
     if K.shape != (3, 3) or R.shape != (3, 3) or t.size != 3:
         raise InputError(f"{path}: K, R and T have the shapes {K.shape}, {R.shape} and {t.shape}")
     return Camera(K, image_size(image)), R, t.ravel()
-
-
-def _h5py() -> Any:
-    try:
-        return import_module("h5py")
-    except ImportError:
-        raise InputError(
-            "h5py is not installed; it comes with the peers extra: pip install 'sfmkit[peers]'"
-        ) from None

@@ -30,7 +30,13 @@ from ..estimation import within_the_field
 from ..features import choose_operators
 from ..io.images import Image, read_image
 from ..matching.plugins import canonical_matchers
-from ..metrics import check_point_error, corner_error, match_errors, mean_matching_accuracy
+from ..metrics import (
+    check_point_error,
+    corner_error,
+    match_errors,
+    mean_matching_accuracy,
+    transfer_errors,
+)
 from ..options import Options, adjust_preset
 from ..pipeline.account import ALL
 from ..pipeline.registration import register_matches
@@ -305,10 +311,7 @@ def _matching_errors(
     if len(matches) == 1:
         ((name, of_operator),) = matches.items()
         return match_errors(*features[name], of_operator, H)
-    y = np.column_stack([corr.x1.numpy(), np.ones(len(corr))]) @ H.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        errors = np.linalg.norm(y[:, :2] / y[:, 2:] - corr.x2.numpy(), axis=1)
-    return np.where(np.isfinite(errors), errors, np.inf)
+    return transfer_errors(corr.x1.numpy(), corr.x2.numpy(), H)
 
 
 def _homography_errors(pair: Pair, H: np.ndarray | None, size_wh: tuple[int, int]) -> Row:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from .._utils.writing import atomic_write
-from ..datasets.middlebury import temple_ring
+from ..datasets.middlebury import temple_places
 from ..datasets.oxford import oxford
 from ..datasets.rendering import SCENES, Pose, Scene, geometry, radiance
 from ..datasets.rendering.repeated import KINDS, repeated_scene, repeated_views
@@ -112,11 +112,9 @@ def fountain(data: str | os.PathLike | None) -> list[BenchView]:
 
 def temple(data: str | os.PathLike | None) -> list[BenchView]:
     """Read the temple ring in order, without the second of two photographs from one position."""
-    ring = temple_ring(data)
-    different = [v for v, before in zip(ring, (ring[-1], *ring)) if not np.allclose(v.t, before.t)]
     return [
         _reduced("temple", f"{k:02d}", view.path, view.camera, (view.R, view.t))
-        for k, view in enumerate(different)
+        for k, view in enumerate(temple_places(data))
     ]
 
 

@@ -7,12 +7,11 @@ In hloc (https://github.com/cvg/Hierarchical-Localization) the centre of the top
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from .._utils.hdf5 import h5py_module
 from .._utils.writing import staged_folder
 from ..ablation.entry import Entry
 from ..errors import InputError
@@ -20,21 +19,7 @@ from .collection import Collection
 from .keypoint_lists import KeypointList, RowMatches, match_rows
 from .matched_folder import MatchedFolder
 
-__all__ = ["check_names", "h5py_module", "write_hloc"]
-
-
-def h5py_module() -> Any:
-    """Import h5py.
-
-    Raises:
-        InputError: It is not installed.
-    """
-    try:
-        return import_module("h5py")
-    except ImportError as error:
-        raise InputError(
-            "h5py is not installed; it comes with the peers extra: pip install 'sfmkit[peers]'"
-        ) from error
+__all__ = ["check_names", "write_hloc"]
 
 
 def check_names(collection: Collection) -> None:
